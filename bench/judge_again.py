@@ -69,7 +69,11 @@ SETS = {
     "held": ["--benchmark", "r2h-v2"],
     "transfer": ["--benchmark", "r2h-v2"],
 }
-CASES: dict[str, Any] = {"release": ("load-share", "threshold", "timer"), "scenario": ("take", "touch"), "persons": 1}
+CASES: dict[str, Any] = {  # all that the command line names
+    "release": ("load-share", "threshold", "timer", "probe", "never"),
+    "scenario": ("take", "touch", "nobody", "pull-early", "weak"),
+    "persons": 1,
+}
 BY_NAME = ("held", "transfer")
 """Sets whose statements are counted by their names."""
 METHODS = ("fc", "handover-va", "random")
@@ -193,8 +197,8 @@ def poses_of(rows: dict[int, dict[str, Any]]) -> list[torch.Tensor]:
     ]
 
 
-def transferred(run: Any, method: str, judge: Judge, file: Path) -> Iterator[tuple[int, Iterator[Finding]]]:
-    """(trial id, what was found) of the transfers of a method's rows that are received."""
+def transferred(run: Any, method: str, judge: Judge, file: Path) -> Iterator[tuple[str, Iterator[Finding]]]:
+    """(trial id and case, what was found) of the transfers of a method's rows that are received."""
     scene = judge.evaluator.scene
     says: dict[int, list[dict[str, Any]]] = {}
     for row in pq.read_table(file).to_pylist():
@@ -212,7 +216,7 @@ def transferred(run: Any, method: str, judge: Judge, file: Path) -> Iterator[tup
                     handed.down[k], handed.T_gripper_slip[k], handed.capacity[k], float(handed.total_n[k]), handed.pull[k],
                     handed.point[k], handed.press[k], handed.R_world_gripper[k], noise[:, k], **own,
                 )  # fmt: skip
-                yield trial_id, transfer_of(start, row)
+                yield f"{trial_id} {row['release']} {row['scenario']}", transfer_of(start, row)
     if says:
         raise SystemExit(f"{file}: trial {min(says)} is received there, and not here")
 
@@ -245,15 +249,16 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     if name == "transfer":
         beside = transfer.write_tables(run, BenchmarkChoice(), **CASES, seed=0, count=1, sim="mujoco", device="cpu")
     for method in run.methods:
+        again: Iterator[tuple[int | str, Iterator[Finding]]]
         if name == "transfer":
             again = transferred(run, method, judge, beside[method])
         else:
             again = judged(name, judge, rows_of(run, method), beside.get(method))
-        for trial_id, findings in again:
+        for which, findings in again:
             rows += 1
             for finding in findings:
                 key = "facts" if finding.kind == "fact" and name not in BY_NAME else finding.name
-                tallies.setdefault(key, Tally()).add(finding, f"{name} {method.split(' ')[0]} {trial_id}")
+                tallies.setdefault(key, Tally()).add(finding, f"{name} {method.split(' ')[0]} {which}")
     return rows, tallies
 
 

@@ -380,7 +380,14 @@ both learned from. Best of 16 and guided ask the judge while they answer, so the
 """
 MEMORY = """- Memory while a stream gives {:,} pairs: {} MiB after each tenth.
 """
-SCANS = """- Scans: {} objects of a folder of meshes: each whole (S0), and with the receiver at one end of its longest side (S1).
+OWN_MESHES = {
+    ", Intent": ", Intent-Handover",
+    "": "",
+    ", second round": ", second round",
+    ", random": ", random method",
+}
+SCANS = """- Own meshes: {} objects of a folder, modelled by hand: each whole (S0), and with the receiver at one end of its
+  longest side (S1).
 """
 
 
@@ -442,8 +449,7 @@ def markdown(data: Mapping[str, Any]) -> str:
     lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
     lines += [[name, *cells(data[name])] for name in ("second round", "blind") if name in data]
     lines += [[f"left out: {', '.join(v['left_out'])}", *cells(v)] for v in data["folds"].values()]
-    names = {"scans, Intent": "scans, Intent-Handover"}
-    names |= {"scans": "scans", "scans, second round": "scans, second round", "scans, random": "scans, random method"}
+    names = {f"scans{of}": f"own meshes{words}" for of, words in OWN_MESHES.items()}
     lines += [[words, *cells(data[name])] for name, words in names.items() if name in data]
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]

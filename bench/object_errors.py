@@ -38,7 +38,7 @@ true. `python bench/object_errors.py` measured {trials} trials of each split of 
 For your method: `r2h-batch sweep --method mine.py:predict --sim none --object-errors field --out runs/field`.
 
 SR in percent, mean of S0 and S1. In brackets: trials of both splits whose first failure is Stability / Plan / Reach / Affordance.
-The 95 % interval of a rate reaches up to {half:.0f} points to each side.
+The 95 % interval of a rate for more trials with these objects reaches up to {half:.0f} points to each side.
 
 {rates}
 

@@ -363,8 +363,8 @@ Plans that fail more, of {hands_n} trials:
 
 So the thumb explains most of it: where it rests palmwards, as Anny has it, it stands in the way of the object. This package turns
 it to the stand-in's rest and keeps the stand-in's joint angles. Size is left: gripper and object meet larger hands more often.
-Proportions, which move the palm's point that the method hands to, cost nothing. Only the thumb's share and the whole are beyond
-chance of so few trials (95 %). Failures of Handover-VA's plans, by what collides at start or goal:
+Proportions, which move the palm's point that the method hands to, cost nothing that these trials show. Only the thumb's
+share and the whole are beyond chance of so few trials (95 %). Failures of Handover-VA's plans, by what collides at start or goal:
 
 {hands}
 

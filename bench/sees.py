@@ -1,7 +1,8 @@
 """Success of methods that see, by what they are shown: docs/results/sees.md.
 
 `python bench/sees.py` sweeps the built-in methods, a robust search and examples/grasp_seen.py on r2h-v2, told the truth, and
-shown what two posts or one see. `--render` writes the page again from the JSON.
+shown what two posts or one see. `--render` writes the page again from the JSON. `--parts FOLDER` keeps what is done: started
+again, it goes on with what is missing.
 """
 
 import argparse
@@ -11,11 +12,14 @@ import time
 from collections import Counter
 from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from _report import ROOT, made_by, markdown_table, page_from, swept
+from _source import digests
+from transfer import Parts
 
 PAGE = ROOT / "docs" / "results" / "sees.md"
 MEASURES = (
@@ -59,10 +63,14 @@ start). All rows are of the same trials.
 SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at most {half:.0f} points.
 
 {table}
-
+{categories}
 `robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees, `plain search` for a pair that
-succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place. No
-method that sees knows the receiver's region (S1).
+succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
+
+No method that sees knows the receiver's region (S1), the searches included: images show no parts, and the benchmark tells nothing
+else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known either. Nor
+do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge
+all of the person.
 
 ## Causes
 
@@ -87,15 +95,16 @@ of the one before it, and those of images that the process has had before. The e
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     context = multiprocessing.get_context("spawn")
+    parts = Parts(options.parts, {"trials": options.trials, "source": digests(MEASURES)})
     with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-        found = [pool.submit(_shown, words, options.trials) for words in SEES]
+        found = [pool.submit(parts.get, w, partial(_shown, w, options.trials)) for w in SEES]
         shown = {words: f.result() for words, f in zip(SEES, found, strict=True)}
     return {"trials": options.trials, "shown": shown, **made_by(MEASURES)}
 
 
 def _shown(words: str, trials: int) -> dict[str, Any]:
     """Method -> what it reached with one sight."""
-    from r2h_batch.report.statistics.aggregate import wilson_interval
+    from r2h_batch.report.table import table_of
     from r2h_batch.runs.store import load_run
 
     sees, out = SEES[words], {}
@@ -116,12 +125,16 @@ def _shown(words: str, trials: int) -> dict[str, Any]:
             run = load_run(own)
             (title,) = run.methods
             rows = run.trials(title)
-            outcome, split = rows["outcome"].to_pylist(), rows["split"].to_pylist()
+            outcome = rows["outcome"].to_pylist()
             found: dict[str, Any] = {"causes": {c: Counter(outcome)[c] for c in CAUSES}}
-            for s in ("S0", "S1"):
-                mine = [o for o, of in zip(outcome, split, strict=True) if of == s]
-                k = mine.count("success")
-                found[s] = {"sr": k / len(mine), "interval": [float(x) for x in wilson_interval(k, len(mine))]}
+            for line in table_of(run).rows:
+                if line.split != "Avg":
+                    sr, new = line.rates["sr"], line.sr_new_categories
+                    assert sr is not None and new is not None
+                    found[line.split] = {
+                        "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
+                        "categories": [new.low / 100, new.high / 100],
+                    }  # fmt: skip
             if sees:
                 seen = run.sees(title)
                 found["pick"] = float(np.mean(seen["pick"].to_pylist()))
@@ -141,11 +154,18 @@ def markdown(data: Mapping[str, Any]) -> str:
         lines = [[name, *(say(d[name]) if name in d else "" for d in some.values())] for name in METHODS]
         return markdown_table(["", *some], lines)
 
+    def ends(d: Mapping[str, Any]) -> str:
+        return " / ".join("-".join(f"{100 * x:.0f}" for x in d[s]["categories"]) for s in ("S0", "S1"))
+
+    categories = ""
+    if "categories" in next(iter(shown["the truth"].values()))["S0"]:
+        categories = f"\nThe 95 % interval for the mean of all categories of objects, S0 / S1.\n\n{table(ends)}\n"
     widths = [d[s]["interval"] for of in shown.values() for d in of.values() for s in ("S0", "S1")]
     return HEAD.format(
         trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
         half=50 * max(high - low for low, high in widths),
         table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
+        categories=categories,
         causes=" / ".join(CAUSES),
         failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
         picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
@@ -157,6 +177,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=40, help="of each split")
     parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--parts", type=Path, help="folder where finished parts are kept: a stopped bench goes on")
     page_from(parser, ROOT / "bench" / "results" / "sees.json", PAGE, measure, markdown)
 
 

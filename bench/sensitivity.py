@@ -155,7 +155,8 @@ def markdown(data: dict) -> str:
         markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
         "Options of one method ([meaning](../baselines.md#options-of-a-method)):",
         markdown_table(["changed", "SR", "pairs"], own_lines),
-        f"{stable} of {len(variants_) - 1} variants keep the base's order of methods, {best} its best method.",
+        f"{stable} of {len(variants_) - 1} variants keep the base's order of methods, {best} its best method. Orders are of"
+        " the rates as they are; whether a pair's difference is more than chance, the tests of `sensitivity.json` say.",
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -1780,8 +1780,8 @@ MUTATIONS = (
     Mutation(
         "cameras: a transposed rotation",
         "kernels/observe/rays.py",
-        "    d = rotation(T) * (ray * scale)",
-        "    d = wp.transpose(rotation(T)) * (ray * scale)",
+        "    return rotation(T) * (ray * scale), scale",
+        "    return wp.transpose(rotation(T)) * (ray * scale), scale",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -1814,9 +1814,9 @@ MUTATIONS = (
     ),
     Mutation(
         "cameras: swapped",
-        "kernels/observe/rays.py",
-        "    T = camera_in[c]",
-        "    T = camera_in[cameras - 1 - c]",
+        "r2h_batch/observe/seeing.py",
+        "    cameras = rig.T_world_camera.to(T_world_obj.device)",
+        "    cameras = rig.T_world_camera.to(T_world_obj.device).flip(0)",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -2079,6 +2079,13 @@ MUTATIONS = (
         (f"{T_ROBUST}::test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each",),
     ),
     Mutation(
+        "cameras: the background of the row below",
+        "kernels/observe/rays.py",
+        "    at = int(y) * sensor[0] + int(x)",
+        "    at = wp.min(int(y) + 1, sensor[1] - 1) * sensor[0] + int(x)",
+        (f"{T_RAYS}::test_a_background_that_is_kept_changes_no_bit",),
+    ),
+    Mutation(
         "eyes: one of them is closed",
         "kernels/observe/eyes.py",
         "    for e in range(EYES):",
@@ -2118,14 +2125,21 @@ MUTATIONS = (
         "r2h_batch/sweep/results/viewed.py",
         "attached = attach(se3.orthonormalise(grasp[rows]), scores.grasp_shift_m[rows])",
         "attached = se3.orthonormalise(grasp[rows])",
-        (f"{T_VIEWED}::test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_the_eyes_see",),
+        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
+    ),
+    Mutation(
+        "viewed: of rows out of reach too",
+        "r2h_batch/sweep/results/viewed.py",
+        'CRITERIA.index("stability")] & (off < THERE)',
+        'CRITERIA.index("stability")]',
+        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
     ),
     Mutation(
         "viewed: of all rows with a region",
         "r2h_batch/sweep/results/viewed.py",
         "rows = torch.nonzero(held & scores.presented_angle_deg.isfinite())[:, 0]",
         "rows = torch.nonzero(scores.presented_angle_deg.isfinite())[:, 0]",
-        (f"{T_VIEWED}::test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_the_eyes_see",),
+        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

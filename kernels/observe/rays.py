@@ -18,7 +18,7 @@ HAND = wp.constant(4)
 FOREARM = wp.constant(5)
 UPPER_ARM = wp.constant(6)
 TORSO = wp.constant(7)
-TILES = wp.constant(8)
+TILES = wp.constant(16)
 
 
 @wp.struct
@@ -159,6 +159,53 @@ def upright(p: wp.vec3, x: float, y: float):
     return wp.vec3(x * p[0] + y * p[1], -y * p[0] + x * p[1], p[2])
 
 
+@wp.func
+def ray_of(T: wp.mat44, x: float, y: float, principal: wp.vec2, focal: float):
+    """The direction of the ray of a place on the sensor, and the share of its length that is depth."""
+    ray = wp.vec3((x - principal[0]) / focal, (y - principal[1]) / focal, 1.0)
+    scale = 1.0 / wp.length(ray)
+    return rotation(T) * (ray * scale), scale
+
+
+@wp.func
+def fixed_met(bodies: Bodies, robot: bool, o: wp.vec3, d: wp.vec3, far: float):
+    """How far along a ray table or robot are met before `far`, and |cosine| of the ray's angle to the normal there; which one
+    it is, 0: none."""
+    best = far
+    what = int(0)
+    facing = float(0.0)
+    t = box_hit(o - bodies.table_center, d, bodies.table_half)
+    if t < best:
+        best = t
+        what = TABLE
+        facing = box_facing(o + t * d - bodies.table_center, d, bodies.table_half)
+    if robot:
+        met = wp.mesh_query_ray(bodies.robot, o, d, best)
+        if met.result:
+            best = met.t
+            what = ROBOT
+            facing = wp.abs(wp.dot(d, met.normal))
+    return wp.vec2(best, facing), what
+
+
+@wp.kernel
+def background(
+    first: int, columns: int, focal: float, principal: wp.vec2, far: float,
+    bodies: Bodies,
+    camera_in: wp.array(dtype=wp.mat44),
+    t_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8), facing_out: wp.array2d(dtype=float),
+):  # fmt: skip
+    """Table and robot for each pixel of each camera's sensor: how far along the ray (`far`: nothing), which of them, |cosine|."""
+    i, p = wp.tid()
+    i += first
+    T = camera_in[i]
+    d, _scale = ray_of(T, float(p % columns) + 0.5, float(p / columns) + 0.5, principal, focal)
+    met, what = fixed_met(bodies, True, origin(T), d, far)
+    t_out[i, p] = met[0]
+    label_out[i, p] = wp.uint8(what)
+    facing_out[i, p] = met[1]
+
+
 @wp.kernel
 def cast(
     first: int, cameras: int, columns: int, rows: int, stride: int, focal: float, principal: wp.vec2, far: float,
@@ -166,10 +213,12 @@ def cast(
     camera_in: wp.array(dtype=wp.mat44),  # one a camera, OpenCV axes
     corner_in: wp.array2d(dtype=wp.vec2i),  # (n, cameras) the window's lowest pixel on the sensor
     sensor: wp.vec2i,  # its columns and rows
-    tile_in: wp.array3d(dtype=int),  # (n, cameras, 64) of 8 x 8 tiles of the window: bits of the labels that a ray may meet
+    tile_in: wp.array3d(dtype=int),  # (n, cameras, TILES^2) of the tiles of the window: bits of the labels that a ray may meet
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
+    known: int,  # whether the next three are there, of each pixel of the sensors (`background`); stride 1
+    fixed_t_in: wp.array2d(dtype=float), fixed_label_in: wp.array2d(dtype=wp.uint8), fixed_facing_in: wp.array2d(dtype=float),
     depth_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8), facing_out: wp.array2d(dtype=float),
 ):  # fmt: skip
     """Depth along the camera's z axis (m), what is seen, and |cosine| of the ray's angle to the surface's normal, of each
@@ -189,40 +238,36 @@ def cast(
     if x < 0.0 or y < 0.0 or x > float(sensor[0]) or y > float(sensor[1]):
         return
     T = camera_in[c]
-    ray = wp.vec3((x - principal[0]) / focal, (y - principal[1]) / focal, 1.0)
-    scale = 1.0 / wp.length(ray)
     o = origin(T)
-    d = rotation(T) * (ray * scale)
-    best = float(far)
-    what = int(0)
-    facing = float(0.0)
-    t = box_hit(o - bodies.table_center, d, bodies.table_half)
-    if t < best:
-        best = t
-        what = TABLE
-        facing = box_facing(o + t * d - bodies.table_center, d, bodies.table_half)
     tile = ((p % pixels) / columns * TILES / rows) * TILES + (p % pixels) % columns * TILES / columns
     here = tile_in[i, c, tile]
-    if here >> ROBOT & 1 == 1:
-        robot = wp.mesh_query_ray(bodies.robot, o, d, best)
-        if robot.result:
-            best = robot.t
-            what = ROBOT
-            facing = wp.abs(wp.dot(d, robot.normal))
+    met = wp.vec2(far, 0.0)
+    what = int(0)
+    at = int(y) * sensor[0] + int(x)
+    if known == 1:
+        what = int(fixed_label_in[c, at])
+        if what + (here >> OBJECT) == 0:
+            return  # nothing is there
+        met = wp.vec2(fixed_t_in[c, at], fixed_facing_in[c, at])
+    d, scale = ray_of(T, x, y, principal, focal)
+    if known == 0:
+        met, what = fixed_met(bodies, here >> ROBOT & 1 == 1, o, d, far)
+    best = met[0]
+    facing = met[1]
     if here >> OBJECT & 1 == 1:
         k = object_in[i]
-        met = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
-        if met[0] < best:
-            best = met[0]
+        hit = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
+        if hit[0] < best:
+            best = hit[0]
             what = OBJECT
-            facing = met[1]
+            facing = hit[1]
     if here >> HAND & 1 == 1:
         k = hand_in[i]
-        met = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
-        if met[0] < best:
-            best = met[0]
+        hit = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
+        if hit[0] < best:
+            best = hit[0]
             what = HAND
-            facing = met[1]
+            facing = hit[1]
     if here >> FOREARM > 0:
         for part in range(2):  # from the wrist up: FOREARM, UPPER_ARM
             if here >> (FOREARM + part) & 1 == 1:

@@ -7,6 +7,7 @@ import importlib.util
 import os
 import sys
 import sysconfig
+import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
@@ -15,6 +16,7 @@ from types import ModuleType
 from typing import Any
 
 from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 from r2h_batch.plugins import PluginError, Registry
 
 HOW = "package.module:function or FILE.py:function"
@@ -51,25 +53,44 @@ def load_function(spec: str) -> UserFunction:
         spec: `package.module:function` or `FILE.py:function`.
 
     Raises:
-        ImportError: the module, file or function does not exist, or two folders have modules of one
-            name.
-        BaseException: what the module raises while it is imported.
+        ImportError: the module, file or function does not exist, two folders have modules of one
+            name, or the module raises something while it is imported: one line that says what.
     """
     place, _, name = spec.rpartition(":")
     before = set(sys.modules)
-    if place.endswith(".py"):
-        module, spec = _import_file(Path(place)), f"{Path(place).name}:{name}"
-    elif all(part.isidentifier() for part in place.split(".")):
-        if not sys.flags.safe_path:
-            _search_first(Path.cwd())
-        module = importlib.import_module(place)
-    else:
-        raise ImportError(f"{place!r} is neither a name of a module nor a file that ends with .py")
+    try:
+        if place.endswith(".py"):
+            module, spec = _import_file(Path(place)), f"{Path(place).name}:{name}"
+        elif all(part.isidentifier() for part in place.split(".")):
+            if not sys.flags.safe_path:
+                _search_first(Path.cwd())
+            module = importlib.import_module(place)
+        else:
+            raise ImportError(
+                f"{place!r} is neither a name of a module nor a file that ends with .py"
+            )
+    except (ImportError, KeyboardInterrupt):
+        raise
+    except BaseException as error:  # SystemExit too: it would end the command without a word
+        raise ImportError(raised(error)) from error
     _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before)
     try:
         return UserFunction(getattr(module, name), module, spec)
     except AttributeError:
         raise ImportError(f"{place} has no function {name!r}") from None
+
+
+def raised(error: BaseException) -> str:
+    """The error that a user's code raised, and where, in one line.
+
+    Args:
+        error: as it was caught.
+    """
+    what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
+    if isinstance(error, SyntaxError):  # its text says where
+        return what
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{what} ({printable(where.filename)}, line {where.lineno})"
 
 
 def chosen(registry: Registry[Any], spec: str) -> tuple[Any, UserFunction | None]:

@@ -8,7 +8,6 @@ import json
 import os
 import sys
 import time
-import traceback
 from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
@@ -21,8 +20,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.errors import UserError
 from r2h_batch.base.io.child import end_with
-from r2h_batch.base.io.read import printable
-from r2h_batch.base.user_code import load_function
+from r2h_batch.base.user_code import load_function, raised
 from r2h_batch.observe.messages import receive, send
 from r2h_batch.observe.seen import unpacked
 
@@ -70,17 +68,10 @@ def main() -> int:
             seconds = (time.perf_counter() - start) / max(len(seen), 1)
             found = _arrays(answer, len(seen), seconds)
         except BaseException as error:  # SystemExit too: the parent says it in one line
-            found = {"error": np.array(_in_one_line(error))}
+            own = isinstance(error, _WrongAnswerError)
+            found = {"error": np.array(str(error) if own else raised(error))}
         send(answers, found)
     return 0
-
-
-def _in_one_line(error: BaseException) -> str:
-    if isinstance(error, _WrongAnswerError):
-        return str(error)
-    frames = traceback.extract_tb(error.__traceback__)
-    what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
-    return f"{what} ({printable(frames[-1].filename)}, line {frames[-1].lineno})"
 
 
 class _WrongAnswerError(UserError):

@@ -1,7 +1,7 @@
 """Depth and labels of trials at the moment that cameras see, by rays on the scene's own meshes."""
 
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -55,6 +55,12 @@ def balls_of(meshes: Sequence[NDArray[Any]] | NDArray[Any], device: str) -> wp.a
     return wp.array(found, dtype=wp.vec4, device=device)
 
 
+FIXED = {"t": torch.float32, "label": torch.uint8, "facing": torch.float32}
+"""The outputs of the kernel `background`."""
+MOST_PIXELS = 1 << 24
+"""Sensors with more pixels have no background: 9 bytes each."""
+
+
 class Bodies:
     """The meshes of a scene for rays. Hands are made when a trial first needs them.
 
@@ -66,7 +72,7 @@ class Bodies:
         self.scene, place = scene, scene.config.workplace
         vertices, faces = robot_at_home(scene.robot, tuple(place.home_q))
         self._robot = mesh_on(scene.device, vertices, faces)
-        self._robot_balls = _balls_of_cells(vertices, faces)
+        self._robot_balls = _balls_of_cells(vertices, faces, CELL_M)
         self._hands: OrderedDict[int, wp.Mesh] = OrderedDict()
         self._skin = scene.hands.vertices.numpy()
         self._faces = scene.hands.model.faces_by_side.numpy()
@@ -78,10 +84,11 @@ class Bodies:
         tables.object_mesh = scene.object_mesh_ids
         tables.object_ball = balls_of([o.vertices for o in scene.objects], scene.device)
         tables.hand_ball = balls_of(self._skin, scene.device)
-        self._object_balls, self._hand_balls = (
-            torch.from_numpy(x.numpy()).double() for x in (tables.object_ball, tables.hand_ball)
-        )
+        self._object_balls = [_balls_of_cells(o.vertices, o.faces, FINE_M) for o in scene.objects]
+        self._hand_balls: dict[int, NDArray[np.float64]] = {}
         self._tables = tables
+        self._asked: dict[Any, int] = {}
+        self._backgrounds: dict[Any, dict[str, Tensor]] = {}
 
     def tables(self, trials: Trials) -> Any:
         """The struct `Bodies` of the kernels, with the hands of these trials."""
@@ -92,9 +99,12 @@ class Bodies:
                 self._hands[h] = mesh_on(
                     self.scene.device, self._skin[h], self._faces[int(side[h])]
                 )
+                self._hand_balls[h] = _balls_of_cells(
+                    self._skin[h], self._faces[int(side[h])], FINE_M
+                )
             self._hands.move_to_end(h)
         while len(self._hands) > max(KEPT_HANDS, len(needed)):
-            self._hands.popitem(last=False)
+            self._hand_balls.pop(self._hands.popitem(last=False)[0])
         ids = np.zeros(len(self._skin), np.uint64)
         for h, mesh in self._hands.items():
             ids[h] = mesh.id
@@ -158,8 +168,8 @@ class Bodies:
         sensor_px: tuple[int, int],
         window_px: tuple[int, int],
     ) -> Int32[Tensor, "n c t"]:
-        """For each of 8 x 8 tiles of each window the labels of bodies that a ray may meet there, as bits: the rectangle of
-        a ball that holds the body, or a part of it, meets the tile."""
+        """The labels of bodies that a ray may meet in each tile of each window, as bits: the rectangle of a ball that holds the
+        body, or a part of it, meets the tile."""
         device = T_world_obj.device
         steps = torch.arange(TILES + 1, dtype=torch.float64, device=device) / TILES
         edges = [
@@ -185,8 +195,8 @@ class Bodies:
             ("object", self._object_balls, trials.object_index, T_world_obj),
             ("hand", self._hand_balls, trials.hand_index, trials.T_world_hand),
         ):
-            own = balls.to(device)[index.long()]
-            mark(label, se3.apply(T.double(), own[:, :3])[:, None], own[:, None, 3])
+            own = _balls_of_rows(balls, index.tolist()).to(device)
+            mark(label, se3.apply(T.double()[:, None], own[..., :3]), own[..., 3])
         if (body := trials.receiver) is not None:
             shoulder, elbow, wrist, middle, half = body.double().to(device).unbind(1)
             for label, a, b in (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist)):
@@ -196,6 +206,32 @@ class Bodies:
             size = se3.dot(half[:, :3], half[:, :3]).sqrt()
             mark("torso", middle[:, None, :3], size[:, None])
         return found
+
+    def _background(
+        self,
+        T_world_camera: Float32[Tensor, "c 4 4"],
+        focal_px: float,
+        sensor_px: tuple[int, int],
+        rays: int,
+    ) -> dict[str, Tensor] | None:
+        """Table and robot in each pixel of the sensors, which are the same in all trials; None until as many rays were asked for
+        as the sensors have pixels."""
+        pixels = sensor_px[0] * sensor_px[1]
+        key = (T_world_camera.cpu().numpy().tobytes(), focal_px, sensor_px)
+        self._asked[key] = self._asked.get(key, 0) + rays
+        if not (self._asked[key] >= len(T_world_camera) * pixels <= MOST_PIXELS):
+            return None
+        if key not in self._backgrounds:
+            self._backgrounds.clear()
+            run = over_trials(
+                kernels.background, len(T_world_camera), self.scene.device,
+                sizes=dict.fromkeys(FIXED, pixels), width=pixels, chunk=1,
+            )  # fmt: skip
+            self._backgrounds[key] = run(
+                columns=sensor_px[0], focal=focal_px, principal=wp.vec2(0.5 * sensor_px[0], 0.5 * sensor_px[1]),
+                far=FAR_M, bodies=self._tables, camera=T_world_camera.contiguous(),
+            )  # fmt: skip
+        return self._backgrounds[key]
 
     def cast(
         self,
@@ -227,11 +263,16 @@ class Bodies:
             stride: pixels between rays.
         """
         n, cameras = corner_px.shape[:2]
-        pixels = cameras * columns * rows
+        pixels, device = cameras * columns * rows, T_world_obj.device
+        placed = self.placed(trials, T_world_obj)
         tiles = self._tiles(
             trials, T_world_obj, T_world_camera, corner_px,
             focal_px=focal_px, sensor_px=sensor_px, window_px=(stride * columns, stride * rows),
         )  # fmt: skip
+        fixed = None
+        if stride == 1:
+            fixed = self._background(T_world_camera, focal_px, sensor_px, n * pixels)
+        shown = fixed or {k: torch.empty((0, 0), dtype=t, device=device) for k, t in FIXED.items()}
         run = over_trials(
             kernels.cast, n, self.scene.device, sizes=dict.fromkeys(("depth", "label", "facing"), pixels),
             width=pixels, chunk=1,
@@ -240,8 +281,8 @@ class Bodies:
             cameras=cameras, columns=columns, rows=rows, stride=stride, focal=focal_px,
             principal=wp.vec2(0.5 * sensor_px[0], 0.5 * sensor_px[1]), far=FAR_M,
             camera=T_world_camera.contiguous(), corner=corner_px.contiguous(), sensor=wp.vec2i(*sensor_px),
-            tile=tiles,
-            **self.placed(trials, T_world_obj),
+            tile=tiles, known=int(fixed is not None), **{f"fixed_{k}": x for k, x in shown.items()},
+            **placed,
         )  # fmt: skip
         shape = (n, cameras, rows, columns)
         return made["depth"].view(shape), made["label"].view(shape), made["facing"].view(shape)
@@ -253,16 +294,32 @@ def bodies_of(scene: Scene) -> Bodies:
     return Bodies(scene)
 
 
-TILES = 8
+TILES = 16
 """Tiles of a window each way, as in the kernel."""
-CELL_M, SLACK_M, SLACK_PX = 0.05, 1e-3, 2.0
-"""Side of the robot's pieces that rectangles are made of; what bounds are too large by, for rounding."""
+CELL_M, FINE_M, SLACK_M, SLACK_PX = 0.05, 0.03, 1e-3, 2.0
+"""Sides of the pieces of the robot, and of objects and hands, that rectangles are made of; what bounds are too large by, for
+rounding."""
 
 
-def _balls_of_cells(vertices: NDArray[np.float32], faces: NDArray[Any]) -> NDArray[np.float64]:
+def _balls_of_rows(
+    balls: Mapping[int, NDArray[np.float64]] | Sequence[NDArray[np.float64]], rows: Sequence[int]
+) -> Float64[Tensor, "n k 4"]:
+    """The balls of the mesh of each row; where another row has more, its last one comes again."""
+    used, place = np.unique(rows, return_inverse=True)
+    own = [balls[int(i)] for i in used]
+    most = max(map(len, own), default=1)
+    padded = np.stack(
+        [x[np.minimum(np.arange(most), len(x) - 1)] for x in own] or [np.zeros((most, 4))]
+    )
+    return torch.from_numpy(padded[place])
+
+
+def _balls_of_cells(
+    vertices: NDArray[np.float32], faces: NDArray[Any], cell_m: float
+) -> NDArray[np.float64]:
     """(k, 4) balls, centre and radius, that hold a mesh: one for the faces that begin in each cell of a grid."""
     corners = np.asarray(vertices, np.float64)[np.asarray(faces).reshape(-1, 3)]
-    cell = np.floor(corners[:, 0] / CELL_M).astype(np.int64)
+    cell = np.floor(corners[:, 0] / cell_m).astype(np.int64)
     _, of = np.unique(cell, axis=0, return_inverse=True)
     found = []
     for k in range(int(of.max()) + 1):

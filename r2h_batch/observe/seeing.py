@@ -148,8 +148,9 @@ def _window(
 ) -> Images:  # fmt: skip
     rig = errors.rig
     corner = window_corners(rig, about, side)
+    cameras = rig.T_world_camera.to(T_world_obj.device)
     depth, label, facing = bodies_of(scene).cast(
-        trials, T_world_obj, rig.T_world_camera.to(T_world_obj.device), corner, focal_px=rig.focal_px,
+        trials, T_world_obj, cameras, corner, focal_px=rig.focal_px,
         sensor_px=rig.sensor_px, columns=side, rows=side,
     )  # fmt: skip
     depth = errors.measured(trials.trial_id, corner, depth, facing)

@@ -98,10 +98,8 @@ def _own(spec: str) -> Family:
         found: object = load_function(spec).function
     except ModuleNotFoundError:
         raise
-    except Exception as error:  # the user's module runs
-        raise FileError(
-            f"--objects: {spec}: {type(error).__name__}: {' '.join(str(error).split())}"
-        ) from error
+    except ImportError as error:
+        raise FileError(f"--objects: {spec}: {' '.join(str(error).split())}") from error
     return _checked(found, spec)
 
 

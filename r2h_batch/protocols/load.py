@@ -2,10 +2,10 @@
 
 from pathlib import Path
 
-from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.errors import FileError, UserError, nearest
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
-from r2h_batch.base.user_code import HOW, load_function
+from r2h_batch.base.user_code import HOW, load_function, raised
 from r2h_batch.base.validate import instance_of
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
@@ -49,11 +49,20 @@ def _names_file(path: Path) -> bool:
 def _of_function(spec: str) -> Benchmark:
     """The benchmark that a user's function returns."""
     try:
-        found = load_function(spec).function()
-    except (ImportError, TypeError) as error:
+        function = load_function(spec).function
+        if not callable(function):
+            raise ImportError(f"is a {type(function).__name__}, no function")
+        found = function()
+    except ImportError as error:
         raise FileError(
             f"benchmark {printable(spec)}: {printable(error)}; it must be {HOW}"
         ) from None
+    except (KeyboardInterrupt, UserError):  # Ctrl-C; a file that the function reads
+        raise
+    except BaseException as error:  # SystemExit too: it would end the command without a word
+        raise FileError(
+            f"benchmark {printable(spec)}: {raised(error)}; it must return a Benchmark"
+        ) from error
     if not isinstance(found, Benchmark):
         raise FileError(
             f"benchmark {printable(spec)}: returned {type(found).__name__}; it must return a Benchmark"

@@ -214,8 +214,10 @@ def check_present(kind: str, columns: Sequence[str], names: set[str], path: Path
 
 
 def check_columns(table: pa.Table, schema: pa.Schema, path: Path) -> None:
-    """`RunError` if a column is of another type, has gaps or holds words that are no names."""
+    """`RunError` if a column is there twice, is of another type, has gaps or holds words that are no names."""
     for name in table.column_names:
+        if table.column_names.count(name) > 1:
+            raise RunError(f"{path}: column {name!r} is there twice; a run folder has it once")
         if what := _wrong_column(table[name], schema.field(name)):
             raise RunError(f"{path}: column {name!r} {what}")
 

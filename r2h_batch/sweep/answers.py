@@ -8,7 +8,6 @@ import io
 import re
 import sys
 import time
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from torch import Tensor
 from r2h_batch.base.errors import UsageError, UserError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.user_code import raised
 from r2h_batch.base.validate_tensors import as_numbers, check_tensor
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
@@ -50,10 +50,7 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     except BaseException as error:  # SystemExit too; other methods go on
         if device_trouble(error) is not None:
             raise  # not the method's fault: no other one would fare better
-        where = traceback.extract_tb(error.__traceback__)[-1]
-        what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
-        place = f"{printable(where.filename)}, line {where.lineno}"
-        raise AnswerError(f"method {name}: {what} ({place})") from error
+        raise AnswerError(f"method {name}: {raised(error)}") from error
     if torch.cuda.is_available():
         torch.cuda.synchronize()
     seconds = (time.perf_counter() - start) / max(len(trials), 1)

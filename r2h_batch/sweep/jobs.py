@@ -361,11 +361,8 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
                 found = UserFunction(module.predict, module, spec)
             else:
                 found = load_function(name)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:  # a user's module runs when it is imported
-        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
-        words = f"{kind}{' '.join(str(error).split())}; {form}"
+    except ImportError as error:
+        words = f"{' '.join(str(error).split())}; {form}"
         raise UsageError(f"--method {name}: {words}") from error
     function = found.function
     chosen = options_of(argument, function, known=built_in) if callable(function) else {}

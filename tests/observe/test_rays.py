@@ -17,9 +17,10 @@ from r2h_batch.observe.moment import (
     TOUCH_M,
     resting_rotation,
 )
-from r2h_batch.observe.rays import bodies_of
+from r2h_batch.observe.rays import Bodies, bodies_of
 from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.robot_mesh import robot_at_home
+from r2h_batch.observe.windows import middles, window_corners
 
 
 @cache
@@ -65,6 +66,21 @@ def test_whole_images_show_table_robot_and_person_where_float64_rays_do():
             assert float(depth[i, c, v, u]) == pytest.approx(z, abs=1e-5)
     assert wrong <= 2
     assert {LABELS.index(k) for k in ("table", "robot", "torso")} <= labels
+
+
+def test_a_background_that_is_kept_changes_no_bit():
+    scene, trials, T = cell()
+    own = Bodies(scene)
+    corners = window_corners(RIG, middles(scene, trials, T), 192)
+    corners[0, 0] = torch.tensor([1200, -30])  # partly beyond the sensor
+    how = {"focal_px": RIG.focal_px, "sensor_px": RIG.sensor_px, "columns": 192, "rows": 192}
+    found = [own.cast(trials, T, RIG.T_world_camera, corners, **how) for _ in range(5)]
+    pixels = 2 * RIG.width * RIG.height
+    # asked for as many rays as there are pixels, it is there
+    assert len(trials) * 2 * 192 * 192 < pixels <= 5 * len(trials) * 2 * 192 * 192
+    assert {*found[0][1].unique().tolist()} >= {LABELS.index(k) for k in ("nothing", "table", "robot", "object")}
+    for a, b in each(zip(found[0], found[-1])):
+        assert torch.equal(a, b)
 
 
 def test_the_robot_at_home_is_mujocos_with_an_open_gripper():

@@ -1,6 +1,7 @@
 """Trials, files of answers and evaluators of different benchmarks are not mixed: a line says what to take."""
 
 import pickle
+import re
 import sys
 from dataclasses import replace
 
@@ -150,6 +151,34 @@ def test_a_benchmark_comes_by_name_file_or_function_and_a_typo_is_told(tmp_path,
         with pytest.raises(FileError, match=line):
             load_benchmark(given)
     sys.modules.pop("own_benchmark", None)
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        (
+            "def f():\n    raise RuntimeError('two\\nlines')\n",
+            r"RuntimeError: two lines \(.*raises.py, line 2\); it must re",
+        ),
+        ("import sys\ndef f():\n    sys.exit(0)\n", r"SystemExit: 0 \(.*raises.py, line 3\)"),
+        ("def f():\n    return f()\n", r"RecursionError: .* \(.*raises.py, line 2\)"),
+        ("def f(x):\n    return x\n", r"TypeError: f\(\) missing 1 required .*; it must return a Benchmark"),
+        ("raise SystemExit(0)\n", r"SystemExit: 0 \(.*raises.py, line 1\); it must be package"),
+        ("def f(:\n", r"SyntaxError: invalid syntax \(raises.py, line 1\); it must be package"),
+        ("f = 5\n", "is a int, no function; it must be package"),
+    ],
+)
+def test_code_of_a_benchmark_that_raises_or_leaves_is_refused_in_one_line(code, said, tmp_path, monkeypatch, capsys):
+    """`sys.exit(0)` ended a sweep with exit code 0 and no word."""
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.delitem(sys.modules, "raises", raising=False)  # of the case before
+    (tmp_path / "raises.py").write_text(code)
+    line = ["--method", "random", "--trials", "1", "--out", str(tmp_path / "run")]
+    assert sweep([*line, "--benchmark", f"{tmp_path}/raises.py:f"]) == 2
+    captured = capsys.readouterr()
+    sys.modules.pop("raises", None)
+    assert captured.out == "" and captured.err.count("\n") == 1
+    assert re.search(said, captured.err), captured.err
 
 
 def test_a_stored_run_brings_no_code():

@@ -220,6 +220,7 @@ def with_words(table, name, words):
 
 FORGED = {
     "more rows than planned": lambda t: pa.concat_tables([t] * 1000),
+    "a column twice": lambda t: t.append_column("trial_id", t["trial_id"]),
     "fewer rows": lambda t: t.slice(1),
     "no object": lambda t: t.set_column(1, "object", pa.nulls(len(t), t.schema.field(1).type)),
     "an unknown outcome": lambda t: with_words(t, "outcome", ["banana"]),

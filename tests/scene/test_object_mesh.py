@@ -68,6 +68,8 @@ def test_empty_infinite_and_ill_indexed_meshes_are_refused():
     mesh = brick()
     with pytest.raises(ObjectMeshError, match="names vertex 999999"):
         build_object(plain(mesh.vertices, np.vstack([mesh.faces, [0, 1, 999999]])))
+    with pytest.raises(ObjectMeshError, match="none of its 192 faces has three corners apart"):
+        build_object(plain(mesh.vertices * [1.0, 0.0, 0.0], mesh.faces))  # a line
     mesh.vertices[7, 1] = np.nan
     with pytest.raises(ObjectMeshError, match="1 vertices are not finite"):
         build_object(mesh)

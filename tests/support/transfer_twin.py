@@ -4,8 +4,8 @@ Written from docs/transfer.md: gripper, object and the person's hand as MJCF for
 policies, person and outcomes tick by tick and row by row in float64, and statics as an own linear program. Shared with the
 project are meshes, masses and pieces of objects, and the solver (MuJoCo C); of `held` nothing else: where the gripper closes on
 the object comes from `judge_twin`. Of transfers also the start (where reception has object, gripper and hand, and what the
-hand's grasp withstands), the drawn persons and the sensor's noise. `probe` is not here. Centres of mass: of a driver half way
-to its pin, of a pad in its middle.
+hand's grasp withstands), the drawn persons and the sensor's noise. Centres of mass: of a driver half way to its pin, of a pad
+in its middle.
 
 `carries` hangs on which points touch. Two postures that agree to a tenth of a millimetre can touch at other ones, and then the
 multiples of the weight differ by factors, on both sides: the linear programs agree on the same contacts. So the twin closes the
@@ -301,7 +301,13 @@ def carried(contacts: list[Contact], com: Array, weight: Array) -> float:
 
 
 class Policy:
-    """`threshold`, `load-share`, `timer` or `never`: reads the load's change in world axes."""
+    """`threshold`, `load-share`, `timer` or `never`: reads the load's change in world axes.
+
+    Attributes:
+        shift: where it moves its hand, world axes, m.
+    """
+
+    shift: Array = np.zeros(3)
 
     def __init__(self, name: str, weight_n: float) -> None:
         self.name, self.weight = name, max(weight_n, 0.6)
@@ -322,6 +328,49 @@ class Policy:
         self.lasted = self.lasted + 1 if met else 0
         squeeze = float(np.clip(1 - 0.65 * share, 0.35, 1)) if self.name == "load-share" else 1.0
         return self.lasted * TICK_S > 0.05 + 1e-9, squeeze
+
+
+class Probe:
+    """`probe`: shakes its hand, and looks for two directions in which something beside the object's mass resists.
+
+    Attributes:
+        shift: where it moves its hand, world axes, m.
+    """
+
+    TURN, SHIFT_M, RAMP_S, WINDOW = 2 * np.pi * np.array([4.0, 6.0, 8.0]), 0.004, 0.1, 54
+
+    def __init__(self, weight_n: float) -> None:
+        self.weight, self.kg = max(weight_n, 0.6), weight_n / G + 0.2
+        self.read: list[Array] = []
+        self.shift, self.lasted = np.zeros(3), 0
+        age = np.arange(1 - self.WINDOW, 1) / self.WINDOW
+        self.drift = np.column_stack([age**0, age, age**2])
+
+    def moved(self, t: Array) -> Array:
+        """Shifts at these times since the tare, and after them the same a quarter of a period later, (K, 6)."""
+        wave = np.exp(1j * np.outer(t, self.TURN)) * self.SHIFT_M * np.clip(t / self.RAMP_S, 0, 1)[:, None]
+        return np.hstack([wave.imag, wave.real])
+
+    def __call__(self, force: Array) -> tuple[bool, float]:
+        """Whether to let go now, and the squeeze until then."""
+        t = (len(self.read) - 12) * TICK_S
+        self.read.append(force)
+        self.shift = self.moved(np.array([t]))[0, :3]
+        self.lasted = self.lasted + 1 if len(self.read) >= self.WINDOW and self.feels(t) else 0
+        return self.lasted * TICK_S > 0.1 + 1e-9, 1.0
+
+    def feels(self, t: float) -> bool:
+        """Whether a hand holds and carries the object: the least squares of readings and of what is believed before."""
+        sent = t - TICK_S * np.arange(self.WINDOW, 0, -1)  # a reading is a tick late
+        seen = np.hstack([self.drift, self.moved(sent)]) / 0.5
+        believed = np.diag(np.r_[np.full(3, 1e-6**0.5), np.full(6, 1 / 2000.0)])
+        answers = np.vstack([np.array(self.read[-self.WINDOW :]) / 0.5, np.zeros((9, 3))])
+        found, *_ = np.linalg.lstsq(np.vstack([seen, believed]), answers)
+        sigma = np.linalg.norm(np.linalg.pinv(np.vstack([seen, believed]))[3:], axis=1).max()
+        stiff = (found[3:6] + 1j * found[6:]).T - np.diag(self.kg * self.TURN**2)
+        second = float(np.linalg.svd(stiff, compute_uv=False)[1])
+        share = (found[0, 2] - float(np.mean([r[2] for r in self.read[:12]]))) / self.weight
+        return second > 200 + 0.35 * self.kg * self.TURN[1] ** 2 + 3 * sigma and share > 0.5
 
 
 class Person:
@@ -395,7 +444,8 @@ class Transfer:
         self.closed = g.com
         g.m.opt.gravity[:] = G * start.down
         g.tick(SETTLE_TICKS)
-        self.policy, self.person = Policy(release, g.mass * G), Person(start, g.mass * G, scenario)
+        self.policy = Probe(g.mass * G) if release == "probe" else Policy(release, g.mass * G)
+        self.person = Person(start, g.mass * G, scenario)
         self.at0, self.turn0 = self.in_hand()
         self.decided = self.free_s = self.lost_s = np.inf
         self.apart, self.slipping = 0, False
@@ -439,7 +489,9 @@ class Transfer:
         d = self.g.d
         since = t - self.decided - 0.06
         self.g.squeeze(-1.0 if since >= 0 else squeeze)
-        d.actuator("wrist_z").ctrl = -float(np.clip(0.15 * (since - 0.2), 0, 0.1)) if since >= 0 else 0.0
+        back = np.array([0, 0, -np.clip(0.15 * (since - 0.2), 0, 0.1)])
+        for x, value in zip(AXES, back if since >= 0 else self.start.R_world.T @ self.policy.shift, strict=True):
+            d.actuator(f"wrist_{x}").ctrl = value
         if self.takes:
             free, lost = np.isfinite(self.free_s), np.isfinite(self.lost_s)
             target, dry = self.person.act(t, self.xyz("force", "arm"), free=free, lost=lost)

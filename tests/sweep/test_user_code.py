@@ -50,6 +50,27 @@ def test_a_method_is_found_beside_the_command_and_as_a_file(place, said, name, f
     assert str(place) not in (place / "here/run/run.json").read_text().partition('"command"')[0]
 
 
+@pytest.mark.parametrize(
+    ("flags", "who"),
+    [
+        (["--receiver-motion", "moves", "--policy", "uc_wrong.py:act"], "--policy uc_wrong.py:act"),
+        (["--objects", "families:uc_wrong.py:FAMILY x 2"], "--objects: uc_wrong.py:FAMILY"),
+        (["--predictor", "uc_wrong.py:predict"], "predictor uc_wrong.py:predict"),
+    ],
+)
+@pytest.mark.parametrize(("code", "what"), [("def f(:", "SyntaxError: invalid syntax"), ("exit(0)", "SystemExit: 0")])
+def test_code_that_raises_while_it_is_imported_is_refused_in_one_line(
+    place, monkeypatch, capsys, flags, who, code, what
+):
+    monkeypatch.undo()  # the true set_up
+    monkeypatch.chdir(place)
+    (place / "uc_wrong.py").write_text(code)
+    line = ["--benchmark", "r2h-v1", "--method", "contact", "--trials", "3", "--sim", "none", "--out", "run"]
+    assert sweep.main([*line, *flags]) == 2
+    error = capsys.readouterr().err
+    assert who in error and what in error and error.count("\n") == 1, error
+
+
 def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
     line = [
         "--benchmark",

@@ -60,6 +60,9 @@ BAD = {
     "unknown array 'methods'; allowed are trial_id, T_obj_ee, T_world_ee, t_method_s, method, benchmark;": GOOD
     | {"methods": "x"},
     "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
+    "'trial_id' has true or false among numbers": GOOD | {"trial_id": [False, True, *GOOD["trial_id"][2:]]},
+    "'T_obj_ee' has true or false among numbers": GOOD
+    | {"T_obj_ee": [[[True, *[0.0] * 3]] * 4] * len(GOOD["trial_id"])},
     "T_world_ee is (3, 4, 4) ": GOOD | {"T_world_ee": [[["1"] * 4] * 4] * 3},
     "has no T_world_ee": {k: v for k, v in GOOD.items() if k != "T_world_ee"},
 }

@@ -89,4 +89,14 @@ def read_json_arrays(path: Path) -> dict[str, Any]:
         if found[name].dtype.kind not in "biufU":
             shown = repr(printable(name)[:60])
             raise FileError(f"{where}: {shown} is not a list of numbers or texts of one shape")
+        if found[name].dtype.kind != "b" and _has_truth(value):  # NumPy reads it as 1 or 0
+            shown = repr(printable(name)[:60])
+            raise FileError(
+                f"{where}: {shown} has true or false among numbers or texts; write numbers"
+            )
     return found
+
+
+def _has_truth(value: Any) -> bool:
+    """Whether true or false is among nested lists."""
+    return isinstance(value, bool) or (isinstance(value, list) and any(map(_has_truth, value)))

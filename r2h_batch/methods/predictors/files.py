@@ -104,9 +104,8 @@ def _function(spec: str) -> ContactPredictor:
     where = f"predictor {printable(spec)}"
     try:
         found = load_function(spec).function
-    except (Exception, SystemExit) as error:  # a user's module runs when it is imported
-        kind = "" if isinstance(error, ImportError) else f"{type(error).__name__}: "
-        why = " ".join(f"{kind}{printable(error)}".split())[:200]
+    except ImportError as error:
+        why = " ".join(printable(error).split())[:200]
         raise FileError(f"{where}: {why}; {_HOW}") from error
     if not callable(found):
         raise FileError(f"{where}: is a {type(found).__name__}, no function; {_HOW}")

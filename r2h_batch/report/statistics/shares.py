@@ -58,7 +58,7 @@ SHARES: Registry[Share] = Registry(
         VIEWED: Share(
             "In view",
             "Mean percent of the receiver's region that the receiver's eyes see at the handover, of rows with a held object and a"
-            " posture (not in SR).",
+            " posture that reaches the pose (not in SR).",
         ),
         "body_met": Share(
             "Body met",

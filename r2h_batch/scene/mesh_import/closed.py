@@ -126,6 +126,10 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     same = len(mesh.faces) == len(faces)
     if open_edges(mesh).any():
         mesh = _welded(mesh, label, done)
+    if not len(mesh.faces):
+        raise ObjectMeshError(
+            f"{label}: none of its {len(faces)} faces has three corners apart; export the mesh again"
+        )
     if (bodies := len(connected_bodies(mesh)[1])) > MOST_BODIES:
         raise ObjectMeshError(
             f"{label}: {len(mesh.faces)} faces in {bodies} bodies that do not touch; at most {MOST_BODIES} are "

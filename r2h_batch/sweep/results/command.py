@@ -299,8 +299,8 @@ def viewed(
     """Print how much of the part that they want the receivers see at the handover, and what hides the rest; write
     RUN/viewed/METHOD.parquet.
 
-    Of the stored rows with a receiver's region (S1), a held object and a goal posture. `report` then shows the mean beside
-    Presented. The success rate does not depend on it.
+    Of the stored rows with a receiver's region (S1), a held object and a posture that reaches the pose. `report` then shows the
+    mean beside Presented. The success rate does not depend on it.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.

@@ -22,6 +22,7 @@ from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.report.viewed import FOLDER, MADE_OF, mean_share
 from r2h_batch.runs.side import about_side, side_path, unbounded
 from r2h_batch.runs.store import Run
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.sweep.scoring import progress
@@ -38,6 +39,8 @@ HIDERS = {
     "table": ("table",),
 }
 """Column of what hides -> its `LABELS`."""
+THERE = 0.005
+"""A posture whose gripper differs from the pose by more than this (m, or a number of the rotation matrix) does not reach it."""
 SCHEMA = pa.schema(
     [
         pa.field("trial_id", pa.int64(), nullable=False),
@@ -48,10 +51,10 @@ SCHEMA = pa.schema(
         *(pa.field(f"hidden_by_{name}", pa.float32(), nullable=False) for name in HIDERS),
     ]
 )
-"""A row for each stored row with a region, a held object and a goal posture. All six shares sum to 1."""
+"""A row for each stored row with a region, a held object and a posture that reaches the pose. All six shares sum to 1."""
 NOTES = (
-    "Mean percent of the region's area, over the rows with a region, a held object and a goal posture. in view: what at"
-    " least one eye sees. Brackets: 95 % (t). No part of SR. `report` shows it beside Presented from now on.",
+    "Mean percent of the region's area, over the rows with a region, a held object and a posture that reaches the pose."
+    " in view: what at least one eye sees. Brackets: 95 % (t). No part of SR. `report` shows it beside Presented from now on.",
     "Then what hides the rest: the object itself (its far side), the robot, the waiting hand, the arm, the table.",
 )
 
@@ -106,7 +109,7 @@ def _tables(run: Run, method: str, judge: Judge) -> Iterator[pa.Table]:
 
 
 def viewed_rows(scores: Scores) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Which rows have a region, a held object and a goal posture, and the shares of these.
+    """Which rows have a region, a held object and a posture that reaches the pose, and the shares of these.
 
     Args:
         scores: B rows with their inputs, judged up to the goal posture.
@@ -115,11 +118,14 @@ def viewed_rows(scores: Scores) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     assert inputs is not None
     evaluator, trials = inputs.evaluator, inputs.trials
     scene = evaluator.scene
-    held = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)
-    rows = torch.nonzero(held & scores.presented_angle_deg.isfinite())[:, 0]
     grasp, pose = executed_poses(
         evaluator.config, scene.objects, inputs.T_obj_ee, inputs.T_world_ee, trials
     )
+    # out of reach the goal posture is the nearest one
+    there = torch.from_numpy(ee_pose(scene.robot, scores.q_goal.cpu().double().numpy()))
+    off = (there.to(pose.device) - pose).abs().amax((1, 2))
+    held = scores.passed[:, CRITERIA.index("stability")] & (off < THERE)
+    rows = torch.nonzero(held & scores.presented_angle_deg.isfinite())[:, 0]
     attached = attach(se3.orthonormalise(grasp[rows]), scores.grasp_shift_m[rows])
     T_world_obj = se3.matmul(se3.orthonormalise(pose[rows]), se3.inverse(attached))
     found = view(scene, trials[rows], T_world_obj, scores.q_goal[rows], scores.opening_m[rows])

@@ -5,13 +5,16 @@ import pyarrow.parquet as pq
 import pytest
 import torch
 
+from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.methods import random as random_method
 from r2h_batch.observe.eyes import view
 from r2h_batch.report import table as report
 from r2h_batch.report.viewed import mean_share, view_rates
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reevaluation import Judge
-from r2h_batch.sweep.results.viewed import HIDERS, SCHEMA
+from r2h_batch.sweep.results.viewed import HIDERS, SCHEMA, viewed_rows
+from r2h_batch.types import PlanReason
 
 QUICK = ["--sim", "none", "--quiet"]
 
@@ -38,7 +41,8 @@ def test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_t
         torch.tensor([poses[i][k] for i in ids.tolist()]).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
     )
     scores = judge.evaluator.score(grasp, pose, trials, stages="pose")
-    fits = scores.passed[:, 0] & scores.q_goal.isfinite().all(1) & scores.presented_angle_deg.isfinite()
+    reached = scores.plan_reason != int(PlanReason.IK_UNREACHABLE)
+    fits = scores.passed[:, 0] & reached & scores.presented_angle_deg.isfinite()
     assert table["trial_id"].to_pylist() == ids[fits.numpy()].tolist() and 4 <= len(table) < len(ids)
     shift = scores.grasp_shift_m.double().nan_to_num()[:, None, None]
     held = grasp.double().clone()
@@ -51,6 +55,32 @@ def test_rows_are_those_with_a_region_a_held_object_and_a_posture_and_say_what_t
     assert every == pytest.approx(1.0, abs=1e-6)
     line = next(x for x in shown.splitlines() if x.startswith("random")).split("|")
     assert float(line[2]) == pytest.approx(100 * viewed.mean(), abs=0.06) and int(line[1]) == len(table)
+
+
+def test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row():
+    benchmark = load_benchmark("r2h-v2")
+    evaluator, trials = benchmark.evaluator(), benchmark.trials(12)
+    trials = trials[trials.trial_id % 2 == 1]  # S1
+    asked = random_method.predict(trials, evaluator.scene)
+    grasp, pose = asked.T_obj_ee.clone(), asked.T_world_ee.clone()
+    grasp[:, :3, 3] += 0.008 * grasp[:, :3, 1]  # beside the middle of the pads
+    pose[::3, 2, 3] += 3.0  # out of reach
+    scores = evaluator.score(grasp, pose, trials, stages="pose")
+    rows, columns = viewed_rows(scores)
+    unreached = (PlanReason.IK_UNREACHABLE, PlanReason.IK_NOT_FOUND)
+    held = scores.passed[:, 0].numpy() & ~np.isin(scores.plan_reason.numpy(), unreached)
+    assert rows.tolist() == np.flatnonzero(held).tolist() and 3 <= len(rows) < 12 and not set(rows) & {0, 3, 6, 9}
+    part = trials[torch.from_numpy(rows)]
+    shift = scores.grasp_shift_m[rows]
+    assert float(shift.abs().max()) > 0.004
+
+    def seen(moved):
+        at = grasp[rows].double()
+        at[:, :3, 3] += moved * at[:, :3, 1] * shift.double()[:, None]
+        T = (pose[rows].double() @ torch.linalg.inv(at)).float()
+        return view(evaluator.scene, part, T, scores.q_goal[rows], scores.opening_m[rows]).seen.numpy()
+
+    assert np.abs(columns["viewed"] - seen(1.0)).max() < 0.005 < np.abs(columns["viewed"] - seen(0.0)).max()
 
 
 def test_report_shows_the_mean_beside_presented_once_it_is_stored(run, tmp_path, capsys):
