@@ -1778,6 +1778,13 @@ MUTATIONS = (
         (f"{T_PAIRS}::test_a_file_called_like_a_function_beside_a_stored_run_does_not_run",),
     ),
     Mutation(
+        'import robot: .. leads anywhere',
+        "r2h_batch/data/robot_model.py",
+        "        if at.is_relative_to(folder):",
+        "        if folder:",
+        ("tests/data/test_robots_as_sold.py::test_files_that_lie_above_are_read_from_a_folder_of_the_user_and_from_no_other",),
+    ),
+    Mutation(
         'grasps: a gripper of several frames is looked up',
         "r2h_batch/data/grasp_files.py",
         "        _check_gripper(gripper, where)",

@@ -53,7 +53,7 @@ def robot(
         flange: The link that carries the gripper, or a site of an MJCF. Its z points away from the arm.
         out: A new or empty folder.
         urdf: The arm. Its meshes are .obj, .stl, .ply, .glb or .dae, beside it or in a --package.
-        mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder.
+        mjcf: The arm as MuJoCo's XML, in place of --urdf. Meshes and includes lie in its folder or a --package.
         source: The arm's file in an installed package, in place of --urdf and --mjcf: how its path ends
             (example-robot-data:tiago.urdf), or a module that tells it (robot_descriptions:panda_description).
         srdf: Names postures, and pairs of links that never collide. The report compares these pairs with
@@ -66,7 +66,8 @@ def robot(
         home: Posture at the start: rad with commas, as --home=-0.5,1,..., or the name of a state in --srdf.
         name: Name of the robot in tables; by default the folder's and the gripper's.
         payload: Payload of the arm in its data sheet, gripper included, kg.
-        package: NAME=FOLDER: the folder that package://NAME/ means; not needed where the file lies in NAME.
+        package: NAME=FOLDER: the folder that package://NAME/ means; not needed where the file lies in NAME. Names
+            with .. may lead to it.
         yes: Take the proposed turn of a flange whose z does not point away from the arm.
     """
     from dataclasses import replace
@@ -79,7 +80,8 @@ def robot(
 
     if [urdf is None, mjcf is None, not source].count(False) != 1:
         raise UsageError("give the arm as --urdf FILE, as --mjcf FILE or as --from PACKAGE:NAME")
-    file = file_from(source) if source else urdf or mjcf or Path()
+    found_in = file_from(source) if source else None
+    file = urdf or mjcf or Path() if found_in is None else found_in.file
     if payload is not None:
         check_range("--payload", payload, 0.01, 1e4, " kg")
     check_output_folder(out, overwrite=None)
@@ -93,6 +95,7 @@ def robot(
         file, name=name or f"{out.name}_{'jaws' if fingers else gripper}", base=base, flange=flange,
         packages=folders, fingers=(one, other) if fingers else None, srdf=srdf, home=_posture(home),
         offset=_pose("--offset", offset), pads=_window(pads, fingers), turn=yes,
+        folders=() if found_in is None else (found_in.folder,),
     )  # fmt: skip
     count = missed(found.robot)
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)

@@ -127,6 +127,7 @@ def import_robot(
     offset: Array | None = None,
     pads: Window | None = None,
     turn: bool = False,
+    folders: Sequence[Path] = (),
 ) -> Imported:
     """A robot with a gripper at its flange, and the figures of its import.
 
@@ -143,11 +144,13 @@ def import_robot(
         offset: (4, 4) the flange in the frame of that link or site; None: there.
         pads: where the pads are on the meshes of the fingers; None: boxes of the file, or flats that are found.
         turn: turn a flange whose z does not point away from the arm, where no `offset` is given.
+        folders: where meshes and includes may lie besides the file's folder and those of `packages`.
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
-    beside, model = None if srdf is None else read_srdf(srdf), read_model(path)
+    read = None if srdf is None else read_srdf(srdf)
+    model = read_model(path, [*packages.values(), *folders])
     own = fingers is not None
     flange_given = flange
     model, flange = at_flange(model, flange, np.eye(4) if offset is None else offset, bare=own)
@@ -169,7 +172,7 @@ def import_robot(
         what = f"{shown}: no torque limit of {printable(', '.join(chain.assumed))[:120]}"
         how = f"twice what holds the stretched arm with {HELD_KG:g} kg, at least {LEAST_NM:g} N m"
         warnings.warn(f"{what}: {how}; edit max_torque_nm of robot.yaml", stacklevel=2)
-    start = home_of(beside, home, chain.joints) if isinstance(home, str) else tuple(home)
+    start = home_of(read, home, chain.joints) if isinstance(home, str) else tuple(home)
     if start and len(start) != n:
         raise FileError(f"--home has {len(start)} numbers; {shown} has {n} joints")
     if start and not ((chain.lower <= start) & (start <= chain.upper)).all():
@@ -200,7 +203,7 @@ def import_robot(
         LOG.info(f"{across}: taken with --offset={way}")
         again = import_robot(
             path, name=name, base=base, flange=flange_given, packages=packages, fingers=fingers, visuals=visuals,
-            srdf=srdf, home=home, offset=turned(way), pads=pads,
+            srdf=srdf, home=home, offset=turned(way), pads=pads, folders=folders,
         )  # fmt: skip
         return again._replace(report=again.report | {"offset": way})
     hand = None if fingers is None else read_fingers(model, flange, fingers)
@@ -273,10 +276,8 @@ def import_robot(
         report["pads"] = told
     if chain.assumed:
         report["assumed_torque"] = list(chain.assumed)
-    if beside is not None:
-        report["srdf"] = compared(beside, chain, robot.links, pairs) | {
-            "states": sorted(beside.states)
-        }
+    if read is not None:
+        report["srdf"] = compared(read, chain, robot.links, pairs) | {"states": sorted(read.states)}
     seen = [link.triangles for link in links]
     if hand is not None:
         seen.append(_opened(hand, {p.name for p in meshed}, meshes))
@@ -570,6 +571,11 @@ def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
     for link in moving:
         moments, axes = np.linalg.eigh(link.inertia)
         most = moments[0] + moments[1]
+        if not link.mass and not link.inertia.any():
+            how = "give it an <inertial>"
+            raise FileError(
+                f"{shown}: link {printable(link.name)}: the file says no mass, or leaves it to a mesh; {how}"
+            )
         if link.mass <= 0 or moments[0] <= 0 or moments[2] > MOST_EXCESS * most:
             what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
             raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from scipy.stats import qmc
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.config import Workplace
@@ -62,7 +61,7 @@ def check_clear_of_table(rods: Robot, table: Workplace, shown: str) -> None:
     """
     look, lower = Touching(rods, table), np.maximum(rods.lower, -np.pi)
     upper = np.minimum(rods.upper, np.pi)
-    unit = qmc.Halton(len(lower), scramble=False).random(DRAWN + 1)[1:]
+    unit = _drawn(len(lower), DRAWN)
     always: set[str] | None = None
     for q in lower + (upper - lower) * unit:
         met = set(look(q))
@@ -209,7 +208,7 @@ def turned(offset: str) -> Array:
 def _postures(robot: Robot, goal: Array, starts: int) -> Iterator[tuple[float, ...]]:
     """Postures that differ, nearest to the middle of the limits first."""
     lower, upper = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
-    unit = qmc.Halton(len(lower), scramble=False).random(starts + 1)[1:]
+    unit = _drawn(len(lower), starts)
     led = _led_to(robot, goal, lower + (upper - lower) * unit, lower, upper)
     away = np.square((led - (lower + upper) / 2) / (upper - lower)).sum(1)
     found: list[Array] = []
@@ -245,6 +244,13 @@ def _led_to(robot: Robot, goal: Array, q: Array, lower: Array, upper: Array) -> 
         q, r = np.where(better[:, None], new, q), np.where(better[:, None], r_new, r)
         damping = np.clip(np.where(better, damping / 5, damping * 4), 1e-12, 1e4)
     return q[np.abs(r).max(1) <= 1e-6]
+
+
+def _drawn(joints: int, count: int) -> Array:
+    """(count, joints) places in a unit cube: Halton's, without the corner."""
+    from scipy.stats import qmc  # 0.5 s: an arm that is refused for its joints needs none
+
+    return np.asarray(qmc.Halton(joints, scramble=False).random(count + 1)[1:])
 
 
 def _rounded(q: Array) -> tuple[float, ...]:

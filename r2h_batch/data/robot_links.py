@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import path_within, printable
 from r2h_batch.data.robot_chain import Part, Rigid
-from r2h_batch.data.robot_model import Geom, Model, frame
+from r2h_batch.data.robot_model import Geom, Model, beside, frame
 from r2h_batch.data.robot_shapes import BOX, CAPSULE, CYLINDER, Shape
 from r2h_batch.scene.mesh_import.file import load_robot_meshes, reads_collada
 
@@ -199,7 +199,7 @@ def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
         how = "give the folder above it with --package NAME=FOLDER"
         raise FileError(f"{model.shown}: {printable(name)[:120]} is outside its folder; {how}")
     if not name.startswith("package://"):
-        return path_within(model.path.parent, name)
+        return beside(model.path, name, model.folders)
     package, _, inside = name.removeprefix("package://").partition("/")
     folder = packages.get(package) or _package_around(model.path, package)
     if folder is None:

@@ -5,9 +5,10 @@ MuJoCo gets a copy with nothing in it but bodies, joints, geoms, masses and moto
 it opens none. Meshes are kept here by name, and found in the file's folder or in a package's.
 """
 
+import os
 import re
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
@@ -131,6 +132,8 @@ class Model:
     sites: Mapping[str, tuple[str, Array]] = field(default_factory=dict)
     """name -> link and place in its frame"""
     loops: tuple[Loop, ...] = ()
+    folders: tuple[Path, ...] = ()
+    """where files that it names may lie besides its own folder"""
 
     @property
     def shown(self) -> str:
@@ -142,17 +145,43 @@ class Model:
         return (link for link in self.links.values() if link.parent == name)
 
 
-def read_model(path: Path) -> Model:
+def read_model(path: Path, folders: Collection[Path] = ()) -> Model:
     """The links and joints of a URDF or MJCF. No mesh is read.
 
     A hinge of an MJCF without a range turns continuously. A joint's effort is the limit of its forces, or
     of its motor's.
 
+    Args:
+        path: the file.
+        folders: where files that it names may lie besides its own folder.
+
     Raises:
         FileError: one line that says what the file has and what is allowed.
     """
     root = parsed(path)
-    return _of_urdf(root, path) if root.tag == "robot" else _of_mjcf(root, path)
+    model = _of_urdf(root, path) if root.tag == "robot" else _of_mjcf(root, path, folders)
+    return replace(model, folders=tuple(folders))
+
+
+def beside(path: Path, name: str, folders: Collection[Path]) -> Path:
+    """The file that a robot's file names: in its own folder, or where `..` leads to, in a folder that the user gave.
+
+    Args:
+        path: the robot's file.
+        name: as it names the other.
+        folders: those of the user.
+
+    Raises:
+        FileError: it lies elsewhere.
+    """
+    if ".." not in PurePosixPath(name.replace("\\", "/")).parts:
+        return path_within(path.parent, name)
+    at = Path(os.path.normpath(path.resolve().parent / name))
+    for folder in (path.resolve().parent, *(one.resolve() for one in folders)):
+        if at.is_relative_to(folder):
+            return path_within(folder, str(at.relative_to(folder)))
+    what, how = printable(name)[:120], "give the folder above it with --package NAME=FOLDER"
+    raise FileError(f"{printable(path)}: {what} points outside the folder; {how}")
 
 
 def parsed(path: Path) -> Element:
@@ -317,10 +346,10 @@ def _set_unit_ball(body: mujoco.MjsBody) -> None:
 # ---- MJCF
 
 
-def _of_mjcf(root: Element, path: Path) -> Model:
+def _of_mjcf(root: Element, path: Path, folders: Collection[Path]) -> Model:
     shown = printable(path)
     try:
-        _include(root, path, [MAX_INCLUDES])
+        _include(root, path, folders, [MAX_INCLUDES])
         kept = _kept(root, MJCF)
     except RecursionError:
         raise FileError(f"{shown}: is nested too deeply") from None
@@ -357,18 +386,18 @@ def _of_mjcf(root: Element, path: Path) -> Model:
     return _model(spec, path, meshes, {b.name: (0.0, np.zeros((3, 3))) for b in unknown}, None)
 
 
-def _include(at: Element, path: Path, left: list[int]) -> None:
+def _include(at: Element, path: Path, folders: Collection[Path], left: list[int]) -> None:
     """Puts what an <include> names in its place."""
     for i, child in reversed(list(enumerate(at))):
         if child.tag == "include":
             left[0] -= 1
             if left[0] < 0:
                 raise FileError(f"{printable(path)}: more than {MAX_INCLUDES} includes")
-            other = parsed(path_within(path.parent, child.get("file", "")))
+            other = parsed(beside(path, child.get("file", ""), folders))
             at[i : i + 1] = list(other)
-            _include(at, path, left)
+            _include(at, path, folders, left)
             return
-        _include(child, path, left)
+        _include(child, path, folders, left)
 
 
 def _knows_mass(spec: mujoco.MjSpec, body: mujoco.MjsBody) -> bool:

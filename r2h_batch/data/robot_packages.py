@@ -9,6 +9,7 @@ from difflib import get_close_matches
 from importlib import metadata
 from importlib.machinery import PathFinder
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.io.read import printable
@@ -20,11 +21,18 @@ SHOWN = 8
 _TELL = """
 import importlib, json, sys
 m = importlib.import_module(sys.argv[1])
-print(json.dumps([getattr(m, k, None) for k in ("URDF_PATH", "MJCF_PATH")]))
+print(json.dumps([getattr(m, k, None) for k in ("URDF_PATH", "MJCF_PATH", "PACKAGE_PATH")]))
 """
 
 
-def file_from(source: str) -> Path:
+class Packaged(NamedTuple):
+    """A robot's file, and the folder of its package: what it names lies there."""
+
+    file: Path
+    folder: Path
+
+
+def file_from(source: str) -> Packaged:
     """The URDF or MJCF that `PACKAGE:NAME` means.
 
     NAME is a module of PACKAGE that has URDF_PATH or MJCF_PATH (`robot_descriptions:panda_description`), or how the path
@@ -52,7 +60,10 @@ def file_from(source: str) -> Path:
     wanted = PurePosixPath(name).parts
     found = [f for f in robots if _ends(f, wanted)]
     if len(found) == 1:
-        return Path(str(found[0].locate()))
+        file = Path(str(found[0].locate()))
+        return Packaged(
+            file, file.parents[len(found[0].parts) - 2] if found[0].parts[1:] else file.parent
+        )
     if found:
         words = ", ".join(str(f) for f in found[:SHOWN])
         raise FileError(
@@ -81,7 +92,7 @@ def _module(package: str, name: str) -> str:
     return ""
 
 
-def _told(module: str, source: str) -> Path:
+def _told(module: str, source: str) -> Packaged:
     """The file that a module tells."""
     shown = f"--from {printable(source)[:80]}"
     line = [sys.executable, "-c", _TELL, module]
@@ -90,7 +101,7 @@ def _told(module: str, source: str) -> Path:
         done = subprocess.run(
             line, capture_output=True, text=True, check=False, env=env, timeout=MOST_SECONDS
         )
-        paths = json.loads(done.stdout.strip().splitlines()[-1])
+        *paths, folder = json.loads(done.stdout.strip().splitlines()[-1])
     except (subprocess.TimeoutExpired, ValueError, IndexError):
         how = f"fetch them first: python -c 'import {module}'"
         raise FileError(
@@ -99,4 +110,5 @@ def _told(module: str, source: str) -> Path:
     found = [path for path in paths if isinstance(path, str)]
     if not found:
         raise FileError(f"{shown}: {module} has neither URDF_PATH nor MJCF_PATH")
-    return Path(found[0])
+    file = Path(found[0])
+    return Packaged(file, Path(folder) if isinstance(folder, str) else file.parent)

@@ -175,6 +175,8 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
     except ImportError:
         raise RenderError("strips need matplotlib: pip install 'r2h_batch[view]'") from None
     view = view_of(drawings, size[0] / size[1])
+    each = [images(drawing, size, n, view) for drawing in drawings]
+    n = max(map(len, each))  # a trial without a motion has fewer
     wide, tall = 2.4, 2.4 * size[1] / size[0] + 0.32  # inches of an image, and of a row
     with style(page=False):
         heights = [0.35, *[tall] * len(drawings), 0.3]
@@ -198,7 +200,7 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
         if patches:
             foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
-        for part, drawing in zip(rows, drawings, strict=True):
+        for part, drawing, row in zip(rows, drawings, each, strict=True):
             stored = drawing.stored
             verdict = (verdict_of(stored), stored.row["outcome"] == "success")
             words, good = drawing.ended or verdict
@@ -212,7 +214,7 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
             part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
             for axis in axes:
                 axis.set_axis_off()
-            for axis, (image, when) in zip(axes, images(drawing, size, n, view), strict=False):
+            for axis, (image, when) in zip(axes, row, strict=False):
                 axis.imshow(image)
                 plate = {"color": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0}
                 axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, bbox=plate)

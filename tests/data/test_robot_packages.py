@@ -31,13 +31,18 @@ def installed(tmp_path, monkeypatch):
     return tmp_path
 
 
-def test_a_file_is_found_by_how_its_path_ends(installed):
-    assert file_from("some-arms:hand.xml") == installed / "arms/b/hand.xml" == file_from("some_arms:hand")
-    assert file_from("some-arms:b/arm.urdf") == file_from("some-arms:b/arm") == installed / "arms/b/arm.urdf"
+def test_a_file_is_found_by_how_its_path_ends_and_its_package_is_the_folder_of_what_it_names(installed):
+    hand, arm = installed / "arms/b/hand.xml", installed / "arms/b/arm.urdf"
+    assert file_from("some-arms:hand.xml") == (hand, installed / "arms") == file_from("some_arms:hand")
+    assert file_from("some-arms:b/arm.urdf") == file_from("some-arms:b/arm") == (arm, installed / "arms")
 
 
-def test_a_module_tells_its_file_in_a_process_of_its_own(installed):
-    assert file_from("told_arms:elbow") == file_from("told_arms:elbow_description") == installed / "arms/a/arm.urdf"
+def test_a_module_tells_its_file_and_folder_in_a_process_of_its_own(installed):
+    arm = installed / "arms/a/arm.urdf"
+    assert file_from("told_arms:elbow") == file_from("told_arms:elbow_description") == (arm, arm.parent)
+    module = installed / "told_arms" / "elbow_description.py"
+    module.write_text(f"{module.read_text()}PACKAGE_PATH = {str(installed / 'arms')!r}\n")
+    assert file_from("told_arms:elbow").folder == installed / "arms"
     assert "told_arms.elbow_description" not in sys.modules
 
 

@@ -396,3 +396,26 @@ def test_link_of_a_part_that_only_collides_as_a_mesh_shows_that_mesh(tmp_path):
     model = read_model(write_mjcf(tmp_path, **changes))
     part = read_chain(model, "base", "flange").links[5]
     assert link_of(part, Meshes(model, files_of(part), {})).meshed == 12
+
+
+def test_files_that_lie_above_are_read_from_a_folder_of_the_user_and_from_no_other(tmp_path):
+    """MJCFs of simulators say meshdir="../stls": PACKAGE has both, and --package NAME=FOLDER may say so."""
+    folder = tmp_path / "package" / "arm"
+    folder.mkdir(parents=True)
+    path = write_mjcf(folder, **{'meshdir="parts"': 'meshdir="../stls"'})
+    (tmp_path / "package" / "stls").mkdir()
+    next(folder.rglob("block.stl")).rename(tmp_path / "package" / "stls" / "block.stl")
+    model = read_model(path, [tmp_path / "package"])
+    part = read_chain(model, "base", "flange", bare=True).links[5]
+    assert link_of(part, Meshes(model, files_of(part), {})).meshed == 12
+    for other in ((), (tmp_path / "package" / "arm",)):
+        one = read_model(path, other)
+        with one_line("stls/block.stl points outside the folder; give the folder above it with --package NAME=FOLDER"):
+            Meshes(one, files_of(part), {})
+    (tmp_path / "package" / "stls" / "block.stl").unlink()
+    (tmp_path / "package" / "stls" / "block.stl").symlink_to("/etc/hosts")
+    with one_line("a link that leads outside the folder"):
+        Meshes(model, files_of(part), {})
+    path.write_text(path.read_text().replace("<compiler", '<include file="../../out.xml"/><compiler', 1))
+    with one_line("out.xml points outside the folder"):
+        read_model(path, [tmp_path / "package"])

@@ -15,6 +15,7 @@ from r2h_batch.report.compare.shipped_answers import answers_of_shipped
 from r2h_batch.report.compare.stored import SHIPPED
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.runs import store as results
+from r2h_batch.runs.store import load_run
 from r2h_batch.types import Outcome
 
 
@@ -89,6 +90,42 @@ def test_places_go_by_the_trials_that_all_hold_and_are_shared_where_nothing_is_d
     assert places["mine (submitted) short"] == places["mine (submitted) long"] == places["whole baseline"] == "1"
     assert places["half baseline"] == "4"
     assert "30 S0, 30 S1" in text and "the same answers as mine (submitted)" in text
+
+
+@pytest.mark.parametrize(("moved", "rows", "same"), [
+    (3e-8, 60, True), (2e-5, 1, True), (2e-5, 2, False),
+])  # fmt: skip
+def test_the_same_answers_are_recognised_on_another_machine_and_others_are_not(folders, tmp_path, moved, rows, same):
+    """Another processor moves margins by some 1e-8 m, some of them across the place where rounding changes."""
+    base, *_ = folders
+    ends = np.where(np.arange(60) % 7, Outcome.SUCCESS, Outcome.REACH)
+    lines = []
+    for name in ("ours", "theirs"):
+        write_run(tmp_path / name, {"mine": np.concatenate([ends, ends])}, 60, 60)
+        if name == "theirs":
+            for path in files_of(tmp_path / name, "mine")[:1]:
+                forge(path, other_rows(moved, rows), "trials")
+        run = load_run(tmp_path / name)
+        lines.append(standing_of(run, "mine", name, Judged(120, 60, 59, False), base, common_trials([base, run]), {}))
+    trials = {"S0": 60, "S1": 60}
+    assert lines[0].answers_as(lines[1], trials) == same
+    other_end = {**lines[0].codes, "S1": ("0" if lines[0].codes["S1"][0] == "1" else "1") + lines[0].codes["S1"][1:]}
+    assert not lines[0].answers_as(replace(lines[0], codes=other_end), trials), "one trial ends otherwise"
+
+
+def other_rows(moved, rows):
+    """A change of the last rows of S0: margins of Reach so far."""
+
+    def change(table):
+        s0 = [k for k, split in enumerate(table["split"].to_pylist()) if split == "S0"][-rows:]
+        name = "margin_reach_m"
+        column = table[name].to_pylist()
+        for k in s0:
+            column[k] += moved
+        field = table.schema.field(name)
+        return table.set_column(table.column_names.index(name), field, pa.array(column, field.type))
+
+    return change
 
 
 def moved_by(metres):

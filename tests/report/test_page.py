@@ -55,9 +55,11 @@ def test_the_page_fetches_nothing(paper):
 
 def test_the_page_holds_every_cell_of_table_1(paper):
     _, text = paper
-    rows = re.findall(r"<tr><td[^>]*>(S0|S1|Avg)</td><td class=l>(.*?)</td>(.*?)</tr>", text.partition("id=full")[2])
+    line = r"<tr><td[^>]*>(S0|S1|Avg)</td><td class=\"l\" title=\"(.*?)\">(.*?)</td>(.*?)</tr>"
+    rows = re.findall(line, text.partition("<table id=full")[2])
     found = {}
-    for split, method, cells in rows:
+    for split, method, short, cells in rows:
+        assert method == short or f"<li>{short}: {method}.</li>" in text, "the full name stands below the table"
         plain = [re.sub(r"<small>.*?</small>|</?b>", "", c) for c in re.findall(r"<td[^>]*>(.*?)</td>", cells)]
         found[split, method] = plain[:9]
     names = ("sr", "t_plan_s", "t_exec_s", "t_tot_s", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
