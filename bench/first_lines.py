@@ -1,4 +1,4 @@
-"""How soon each command says something, and how long it is ever silent: docs/results/speed.md.
+"""How soon each command says something, and how long it is ever silent.
 
     python bench/first_lines.py --out OUT --json bench/results/first_lines.json
 
@@ -45,7 +45,7 @@ COMMANDS = {
     "import robot": "import robot --from airo-models:ur3e.urdf --base base_link --flange tool0 --out {out}/arm",
     "train rank": "train rank --items 1 --steps 20 --rounds 0 --out {out}/trained",
 }  # fmt: skip
-"""What a person types, smaller where it would take many minutes."""
+"""As a person types them, smaller where one would take many minutes."""
 PARTS = ("first", "silent", "whole", "cpu")
 
 

@@ -1778,6 +1778,13 @@ MUTATIONS = (
         (f"{T_PAIRS}::test_a_file_called_like_a_function_beside_a_stored_run_does_not_run",),
     ),
     Mutation(
+        'import robot: a UR points into its wrist',
+        "r2h_batch/data/robot_home.py",
+        "    way = ahead + middle if",
+        "    way = middle if",
+        ("tests/data/test_robot_home.py::test_the_tool0_of_a_ur_points_away_although_the_last_link_lies_behind_it",),
+    ),
+    Mutation(
         'import robot: .. leads anywhere',
         "r2h_batch/data/robot_model.py",
         "        if at.is_relative_to(folder):",

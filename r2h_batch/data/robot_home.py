@@ -164,8 +164,9 @@ def _in_table(robot: Robot, table: Workplace, meshes: Sequence[Array], q: Array)
 def turn_of(robot: Robot, chain: Chain, *, any_way: bool = False) -> str:
     """The `--offset` that turns the flange's z away from the arm; "" where it points there, or none helps.
 
-    Away is the last joint's axis, or from that joint to the flange; to the middle of the last link where the flange
-    lies nearer. An arm has a posture to start from with the z that is proposed.
+    Away is the last joint's axis, or from that joint to the flange. Where the flange lies nearer to the joint than the
+    middle of the last link, it is from the joint before, along the axis, to that middle: a link may end in its flange, as
+    a UR's, or begin there. An arm has a posture to start from with the z that is proposed.
 
     Args:
         robot: the arm.
@@ -174,7 +175,11 @@ def turn_of(robot: Robot, chain: Chain, *, any_way: bool = False) -> str:
     """
     T, middle = chain.T_last_flange, np.asarray(chain.links[-1].com)
     place = T[:3, 3]
-    way = middle if np.linalg.norm(place) < np.linalg.norm(middle) else place
+    T_before_last = chain.T_parent_joint[-1]
+    ahead = (
+        T_before_last[:3, :3].T @ T_before_last[:3, 3] * [0.0, 0.0, 1.0]
+    )  # along the axis: the rest turns with it
+    way = ahead + middle if np.linalg.norm(place) < np.linalg.norm(middle) else place
     axis_z, length = np.array([0.0, 0.0, 1.0]), float(np.linalg.norm(way))
     away = [axis_z, -axis_z]  # where the file says neither place nor masses
     if length > LEAST_M:

@@ -1,5 +1,7 @@
 """Where an imported arm starts: free postures, flanges that are turned, what a refusal says."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from refusals import one_line
@@ -10,8 +12,11 @@ from r2h_batch.config import Workplace
 from r2h_batch.data import robot as importer
 from r2h_batch.data import robot_home, robot_shapes
 from r2h_batch.data.robot import import_robot
-from r2h_batch.data.robot_home import free_home, homes, usual_place
-from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, forward_kinematics, load_robot
+from r2h_batch.data.robot_chain import read_chain
+from r2h_batch.data.robot_home import free_home, homes, turn_of, turned, usual_place
+from r2h_batch.data.robot_model import read_model
+from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, forward_kinematics, frozen, load_robot
+from r2h_batch.scene.robot_visuals import arm_urdf
 
 ACROSS = {'<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07"/>': (
     '<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07" rpy="0 -1.5707963 0"/>'
@@ -86,6 +91,18 @@ def test_a_flange_whose_z_points_across_is_refused_with_the_turn_and_yes_takes_i
     assert turned.report["offset"] == "0,0,0,0,1.5708,0"
     one, other = straight.T_wrist3_flange, turned.robot.T_wrist3_flange
     assert np.abs(one[:3, 2] - other[:3, 2]).max() < 1e-6 and np.abs(one[:3, 3] - other[:3, 3]).max() < 1e-9
+
+
+@pytest.mark.parametrize("arm", ["ur3e", "ur5e"])
+def test_the_tool0_of_a_ur_points_away_although_the_last_link_lies_behind_it(arm):
+    """Its flange is the origin of the last joint, and the link's mass is 2 cm nearer to the arm."""
+    path, robot = arm_urdf(arm), load_robot(f"{arm}_2f85")
+    chain = read_chain(read_model(path), "base_link", "tool0")
+    assert chain.links[-1].com[2] < -0.01 and np.abs(chain.T_last_flange - np.eye(4)).max() == 0
+    assert turn_of(robot, chain) == ""
+    away = replace(chain, T_last_flange=chain.T_last_flange @ turned("0,0,0,3.1416,0,0"))
+    inwards = replace(robot, T_wrist3_flange=frozen(away.T_last_flange), digest="turned into the arm")
+    assert turn_of(inwards, away) == "0,0,0,3.1416,0,0"
 
 
 def test_offsets_turn_z_as_their_table_says():
