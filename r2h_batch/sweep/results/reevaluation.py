@@ -19,6 +19,7 @@ import torch
 from pydantic import TypeAdapter
 
 from r2h_batch.base.errors import UsageError
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -262,6 +263,7 @@ def reevaluate(
     total = int(ends[-1])
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
     job, asked = _who_answers(run, entry, judge)
+    LOG.info(f"{method}: judging {len(chosen)} of {total} rows again")
     differences: list[Difference] = []
     unequal: set[int] = set()
     for place, index in enumerate(sizes):
