@@ -349,7 +349,10 @@ class Probe:
     def __init__(self, weight_n: float) -> None:
         self.weight, self.kg = max(weight_n, 0.6), weight_n / G + 0.2
         self.read: list[Array] = []
-        self.shift, self.lasted = np.zeros(3), 0
+        self.shift = np.zeros(3)
+        self.over: list[float] = []
+        self.surplus = -np.inf
+        """By how much the readings exceed what lets go."""
         age = np.arange(1 - self.WINDOW, 1) / self.WINDOW
         self.drift = np.column_stack([age**0, age, age**2])
 
@@ -363,11 +366,14 @@ class Probe:
         t = (len(self.read) - 12) * TICK_S
         self.read.append(force)
         self.shift = self.moved(np.array([t]))[0, :3]
-        self.lasted = self.lasted + 1 if len(self.read) >= self.WINDOW and self.feels(t) else 0
-        return self.lasted * TICK_S > 0.1 + 1e-9, 1.0
+        if len(self.read) >= self.WINDOW:
+            self.over.append(self.feels(t))
+        if len(self.over) >= 13:
+            self.surplus = min(self.over[-13:])
+        return self.surplus > 0, 1.0
 
-    def feels(self, t: float) -> bool:
-        """Whether a hand holds and carries the object: the least squares of readings and of what is believed before."""
+    def feels(self, t: float) -> float:
+        """By how much a hand holds and carries the object, N: the least squares of readings and of what is believed before."""
         sent = t - TICK_S * np.arange(self.WINDOW, 0, -1)  # a reading is a tick late
         seen = np.hstack([self.drift, self.moved(sent)]) / 0.5
         believed = np.diag(np.r_[np.full(3, 1e-6**0.5), np.full(6, 1 / 2000.0)])
@@ -377,7 +383,9 @@ class Probe:
         stiff = (found[3:6] + 1j * found[6:]).T - np.diag(self.kg * self.TURN**2)
         second = float(np.linalg.svd(stiff, compute_uv=False)[1])
         share = (found[0, 2] - float(np.mean([r[2] for r in self.read[:12]]))) / self.weight
-        return second > 200 + 0.35 * self.kg * self.TURN[1] ** 2 + 3 * sigma and share > 0.5
+        least = 200 + 0.35 * self.kg * self.TURN[1] ** 2 + 3 * sigma
+        stiff = 0.5 * (sum(second > least + step * 0.5 / self.SHIFT_M for step in (-1, 0, 1)) - 1.5)
+        return float(min((share - 0.5) * self.weight, stiff))
 
 
 class Person:
