@@ -52,11 +52,14 @@ def test_readmes_table_is_exchanged_and_says_who_is_better_from_both_sides():
     pairs = [pair | {"verdict": "worse here"}, other]
     assert families.beside("FC", pairs) == "tied with Contact; worse here than Intent"
     assert families.beside("Intent", pairs) == "better here than FC" and families.beside("random", pairs) == ""
-    data = json.loads(families.STORED.read_text())
+    data = json.loads(families.STORED.read_text()) | {"unseen": ["81.2", "63.4", "tied with FC"]}
     text = "before\n<!-- --8<-- [start:table] -->\nstale row\n<!-- --8<-- [end:table] -->\nafter\n"
     found = families.readme(text, data)
     assert "stale row" not in found and found.startswith("before\n") and found.endswith("after\n")
     assert families.readme(found, data) == found
+    titles = [line.split("|")[1].strip() for line in found.splitlines() if line.startswith("|")]
+    assert titles[titles.index("Contact-Handover *") + 1] == "Contact-Handover, category not seen"
+    assert "| Contact-Handover, category not seen | 81.2 | 63.4 | tied with FC |" in found
     row = next(r for r in data["table"]["rows"] if r["split"] == "S0" and r["method"] == "oracle")
     assert f"| oracle | {row['sr']:.1f} ({row['sr_new_categories_low']:.1f}-" in found
 
