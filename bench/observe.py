@@ -31,7 +31,8 @@ HEAD = """# Depth cameras: speed, and agreement with other renderers
 `python bench/observe.py` drew {trials} trials of r2h-v2 with four programs on the same meshes: the robot at home, the trial's
 object at the [moment](../observe.md#the-moment), hand, arm, torso and table. Whole images of cell-v1's left post, 58 degrees
 (bench/results/observe.json; commit {commit}, load {load:g} at the start, one run of each). Process seconds of one core; the
-meshes are made before the clock starts. MuJoCo C's rays and OpenGL drew {few} of the trials.
+meshes are made before the clock starts. The package draws table and robot once for a rig's cameras and keeps them, before the
+clock starts too; the others draw everything in each image. MuJoCo C's rays and OpenGL drew {few} of the trials.
 
 {speed}
 
@@ -308,7 +309,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         agreement=markdown_table(["against", "other label", "median", "99 %", "largest"], agreement),
         seen_px=" and ".join(f"{p} x {p}" for p in data["seen_px"]),
         seen=1e3 / total,
-        small=f"\nWith two windows of {SMALL_PX} x {SMALL_PX} of one post: {1e3 / data['small_ms']:.0f}.\n"
+        small=f"\nWith two windows of {SMALL_PX} x {SMALL_PX} of one post: {1e3 / data['small_ms']:.0f} a second and core.\n"
         if "small_ms" in data
         else "",
         moment=data["moment_ms"],
