@@ -281,8 +281,12 @@ def _deferred(function: Command) -> Command:
     words = inspect.cleandoc(function.__doc__ or "")
     hints = _shown_hints(function)
     parameters = inspect.signature(function).parameters.values()
+    given = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
 
     def later(*args: Any, **kwargs: Any) -> Command:
+        for name, kind in given.items():
+            values = {f.name: getattr(kwargs[name], f.name) for f in fields(kind)}
+            kwargs[name] = kind(**values)
         return partial(function, *args, **kwargs)
 
     later.__name__ = function.__name__
