@@ -281,7 +281,7 @@ def _deferred(function: Command) -> Command:
     words = inspect.cleandoc(function.__doc__ or "")
     hints = _shown_hints(function)
     parameters = inspect.signature(function).parameters.values()
-    given = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
+    given: dict[str, Any] = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
 
     def later(*args: Any, **kwargs: Any) -> Command:
         for name, kind in given.items():
