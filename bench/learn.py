@@ -43,7 +43,7 @@ NEAR = 192
 """Pairs of the second round."""
 TURNED = 240
 """Trials of a split of the turn test."""
-STREAMED = 10**6
+STREAMED = 10**7
 """Pairs over which memory is measured."""
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
@@ -177,7 +177,7 @@ def generator(place: Path) -> dict[str, Any]:
 
 
 def memory() -> dict[str, Any]:
-    """Resident MiB while a stream gives 10^6 pairs, after each tenth."""
+    """Resident MiB while a stream gives `STREAMED` pairs, after each tenth."""
     from r2h_batch import load_benchmark
     from r2h_batch.training import stream
 
