@@ -77,6 +77,8 @@ found, expected = (slope[:, :3, 3] * along).sum(1), (moved[1] - moved[0]) / 2
 assert expected.abs().max() > 5e-4 and (found - expected).abs().median() < 2e-5, (found, expected)
 
 said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
+said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion
+assert len(load_run("learned").trials("learned")) == 8
 run = load_run("run")
 method = run.methods[0]
 rows = run.trials(method).to_pylist()
@@ -162,12 +164,14 @@ def upright(e):
 '''
 USE_UPRIGHT = """
 import json
+from pathlib import Path
 import numpy as np
 import torch
 from r2h_batch import EvalConfig, verdicts
 from r2h_batch.config import ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
+from r2h_batch.methods.ranker.network import read_weights
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.training import reward
 from r2h_batch import load_benchmark
@@ -176,6 +180,11 @@ from r2h_batch.types import Outcome
 assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == 8
 OPEN = {"cup", "bowl", "wineglass"}
 said("sweep --benchmark r2h-v1 --method oracle random --trials 36 --sim none --save-paths --out run")
+said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion
+line = "--regions 0 --items 1 --steps 2 --rounds 0 --out rank"
+with contextlib.redirect_stdout(io.StringIO()):
+    assert main(["train", "rank", "--families", "cup x 1 seed 5", *line.split()]) == 0
+assert read_weights(Path("rank/rank.safetensors").absolute()).criteria == verdicts.CRITERIA  # it learned the new one
 run = load_run("run")
 vessels, axes = {o.name: o for o in load_objects() if o.name in OPEN}, {}
 for name, o in vessels.items():  # another way to the same axis: trimesh's centroid of the rim alone

@@ -993,6 +993,13 @@ MUTATIONS = (
         ('tests/learning/test_rank.py::test_an_interrupted_training_goes_on_with_the_same_bits_and_another_recipe_is_refused',),
     ),
     Mutation(
+        'ranker: the criteria that a file of weights names are not read',
+        'r2h_batch/methods/ranker/network.py',
+        'criteria = _told(path).get(_CRITERIA, UNNAMED)',
+        'criteria = UNNAMED',
+        ('tests/learning/test_rank.py::test_a_file_of_weights_names_its_criteria_whatever_the_reader_judges_by',),
+    ),
+    Mutation(
         "features: the thumb's side is the other one for left hands",
         'r2h_batch/methods/ranker/features.py',
         'thumb = torch.where((seen["side"] == _RIGHT)[:, None], -thumb, thumb)',

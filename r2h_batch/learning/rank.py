@@ -85,7 +85,7 @@ class Lessons:
     candidate: Tensor
     pair: Tensor
     truth: Tensor
-    """(N, K, 6) success and criteria: 1, 0, NaN not evaluated"""
+    """(N, K, 1 + C) success and criteria: 1, 0, NaN not evaluated"""
 
     @classmethod
     def of(cls, items: Iterable[Mapping[str, Tensor]], poses: int) -> "Lessons":
@@ -114,7 +114,7 @@ class Lessons:
         return len(self.truth)
 
     def logits(self, net: Ranker, rows: Tensor, blind: Tensor) -> tuple[Tensor, Tensor]:
-        """Logits and truth (n K, 6) of some trials.
+        """Logits and truth (n K, 1 + C) of some trials.
 
         Args:
             net: the ranker.
@@ -147,7 +147,7 @@ class Training:
         self.random = torch.Generator().manual_seed(recipe.seed)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
-            self.net = Ranker()
+            self.net = Ranker(CRITERIA)
         self.adam = torch.optim.AdamW(self.net.parameters(), lr=RATE, weight_decay=DECAY)
         self.step, self.shown = 0, 0.0
         self.spent: dict[str, float] = {}
@@ -261,7 +261,7 @@ class Training:
 
 
 def plain(recipe: Recipe, pairs: Pairs) -> dict[str, Any]:
-    """A recipe and its benchmark as JSON.
+    """A recipe, its benchmark and the criteria of its labels as JSON.
 
     Args:
         recipe: any.
@@ -271,6 +271,7 @@ def plain(recipe: Recipe, pairs: Pairs) -> dict[str, Any]:
         **asdict(recipe),
         "leave_out": list(recipe.leave_out),
         "benchmark": pairs.benchmark.digest,
+        "criteria": list(CRITERIA),
     }
 
 

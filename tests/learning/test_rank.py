@@ -2,12 +2,14 @@
 
 import json
 from dataclasses import replace
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 from rounds import each
+from safetensors.torch import save
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
@@ -18,6 +20,7 @@ from r2h_batch.methods.ranker.network import MAX_BYTES, Ranker, about_weights, r
 from r2h_batch.methods.ranker.observe import observe
 from r2h_batch.methods.ranker.search import NEAR_M, liked, scored_by
 from r2h_batch.training import mine, stream
+from r2h_batch.verdicts import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
 SMALL = Recipe(families=FAMILIES, regions=1, items=1, steps=4, rounds=1, mined_items=1, mined_steps=3)
@@ -209,7 +212,26 @@ def test_a_search_takes_what_the_network_likes_best_and_near_is_near(pairs):
     torch.testing.assert_close(T[..., :3, :3] @ T[..., :3, :3].mT, torch.eye(3).expand(12, 42, 3, 3), atol=1e-5, rtol=0)
 
 
-@pytest.mark.parametrize("what", ["text", "another", "nan", "missing"])
+def test_a_file_of_weights_names_its_criteria_whatever_the_reader_judges_by(tmp_path):
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(3)
+        net = Ranker((*CRITERIA, "upright")).eval().requires_grad_(False)
+    save_weights(net, path := tmp_path / "net.safetensors", {"seed": 4})
+    read = read_weights(path)
+    assert read.criteria == (*CRITERIA, "upright") and about_weights(path)["seed"] == 4
+    x = torch.randn(5, 96), torch.randn(5, 9), torch.randn(5, 58)
+    assert read(*x).shape == (5, 7) and torch.equal(read(*x), net(*x))
+    shipped = resources.files("r2h_batch.assets.ranker") / "ranker.safetensors"
+    assert read_weights(Path(str(shipped))).criteria == CRITERIA[:5]
+
+
+def told(path: Path, criteria: str) -> None:
+    """Writes weights that say this about their criteria."""
+    weights = {k: v.contiguous() for k, v in Ranker().state_dict().items()}
+    path.write_bytes(save(weights, {"about": criteria}))
+
+
+@pytest.mark.parametrize("what", ["text", "another", "nan", "missing", "fewer", "number", "no json"])
 def test_wrong_weights_are_refused_in_one_line(tmp_path, what):
     path: Path = tmp_path / "net.safetensors"
     if what == "text":
@@ -222,7 +244,10 @@ def test_wrong_weights_are_refused_in_one_line(tmp_path, what):
         net = Ranker()
         net.std[3] = torch.nan
         save_weights(net, path, {})
+    elif what != "missing":
+        told(path, {"fewer": '{"criteria": ["plan"]}', "number": '{"criteria": 5}', "no json": "{"}[what])
     said = {"text": "not a readable", "another": "weights of another network", "nan": "NaN", "missing": "no such file"}
+    said |= {"fewer": "or of other criteria than plan;", "number": "criteria is 5;", "no json": "is no JSON"}
     with pytest.raises(ValueError, match=said[what]) as error:
         read_weights(path)
     assert "\n" not in str(error.value)
