@@ -143,7 +143,7 @@ def about_weights(path: Path) -> dict[str, object]:
 
 
 def _told(path: Path) -> dict[str, object]:
-    """What a readable file says about its weights."""
+    """A readable file tells this about its weights."""
     with safe_open(str(path), framework="pt") as file:
         told = (file.metadata() or {}).get("about", "{}")
     try:
