@@ -238,8 +238,8 @@ def stream(
             `Pairs.left_out` is the stream of these.
         pairs: pairs of each trial.
         poses: pairs of one candidate; a divisor of `pairs`.
-        regions: how many more times each instance is there, each time with a receiver's region at random: a part, a half,
-            all but a part.
+        regions: how many more times each instance is there, each time with a receiver's region at random: a part, all
+            but a part, one side of a plane.
         trials: trials of an item.
         seed: another one has other trials and pairs.
         first_item: number of the first item; a run that goes on gives the number after its last one.
