@@ -21,6 +21,7 @@ from _report import ROOT, made_by, markdown_table, memory_over, page_from, swept
 
 if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
+    from r2h_batch.scene.objects import ObjectModel
     from r2h_batch.types import Predictions
 
 STORED, PAGE = ROOT / "bench" / "results" / "learn.json", ROOT / "docs" / "results" / "learned.md"
@@ -45,6 +46,9 @@ TURNED = 240
 """Trials of a split of the turn test."""
 STREAMED = 10**7
 """Pairs over which memory is measured."""
+REGIONS, TRIALS_OF_REGIONS = "* x 2 seed 77", 2000
+"""Instances that no network learned from, each with four regions at random; their trials."""
+KINDS = ("a part", "all but a part", "one side of a plane")
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
 """Shipped rows whose objects receivers try to take."""
@@ -99,6 +103,14 @@ def scans(folder: Path) -> "Evaluator":
     none = without_candidates(Evaluator(benchmark, config, threads=1).scene)
     kept = [o for k, o in enumerate(objects) if k not in none]
     return Evaluator(benchmark.with_objects(kept), config, threads=1)
+
+
+def kind_of_region(model: "ObjectModel") -> str:
+    """Which of `KINDS` a region is."""
+    own, rest = ({*model.face_part[face].tolist()} for face in (model.receiver_face, ~model.receiver_face))
+    if own & rest:
+        return KINDS[2]
+    return KINDS[0] if len(own) == 1 else KINDS[1]
 
 
 def labels_a_second() -> dict[str, float]:
@@ -219,15 +231,16 @@ class Bench:
         self.evaluator = Evaluator(self.benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
         self.some = self.benchmark.trials(options.trials)
 
-    def judged(self, path: Path, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
-        """Rates of weights on trials, and CPU milliseconds of an answer."""
+    def judged(self, path: Path | None, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        """Rates of weights (None: those that ship) on trials, and CPU milliseconds of an answer."""
         from r2h_batch.methods import learned
 
         start = time.process_time()
-        answers = learned.predict(trials, judge.scene, weights=str(path), **more)
+        answers = learned.predict(trials, judge.scene, weights=str(path or ""), **more)
         spent = 1000 * (time.process_time() - start) / len(trials)
         told = rates(judge, trials, answers) | {"ms": spent}
-        print(path.parent.name, more, {k: round(told[k]["sr"], 1) for k in ("s0", "s1") if k in told}, flush=True)
+        rounded = {k: round(told[k]["sr"], 1) for k in ("s0", "s1") if k in told}
+        print(path and path.parent.name, more, rounded, flush=True)
         return told
 
     def seeds(self) -> dict[str, Any]:
@@ -275,6 +288,26 @@ class Bench:
             "scans, Intent": rates(judge, some, intent.predict(some, judge.scene)),
         }
 
+    def regions(self) -> dict[str, Any]:
+        """The weights that ship, and new ones of seed 0, on regions at random of instances that neither saw."""
+        from r2h_batch.learning.instances import training_objects
+        from r2h_batch.learning.regions import with_regions
+        from r2h_batch.methods import learned
+
+        plain = training_objects(self.benchmark, REGIONS)
+        own = self.benchmark.with_objects(with_regions(plain, 4)[len(plain) :])
+        judge = own.evaluator(threads=1)
+        trials = own.trials_with_ids(1 + 2 * torch.arange(TRIALS_OF_REGIONS))  # odd ones: S1
+        kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
+        found: dict[str, Any] = {"objects": len(plain), "trials": {k: int((kinds == k).sum()) for k in KINDS}}
+        path, _ = trained(self.options.runs, 0, ())
+        for name, weights in (("that ship", None), ("of `train rank` now", path)):
+            answers = learned.predict(trials, judge.scene, weights=str(weights or ""))
+            won = judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages="pose").success.numpy()
+            found[name] = {k: 100 * float(won[kinds == k].mean()) for k in KINDS}
+            found[f"96 objects, {name}"] = self.judged(weights, self.some, self.evaluator)
+        return {"regions": found}
+
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
         return {
@@ -302,7 +335,7 @@ class Bench:
         return {"memory": memory()}
 
 
-PARTS = ("seeds", "variants", "folds", "scans", "costs", "turned", "received", "generator", "memory")
+PARTS = ("seeds", "variants", "folds", "scans", "regions", "costs", "turned", "received", "generator", "memory")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -334,7 +367,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 {turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{generator}## What it costs
+{received}{regions}{generator}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -356,6 +389,15 @@ LEFT_OUT = """- Left out: trained without these categories, and judged on their 
 NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
 """
 SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others were. In S1 the seeds differ by {:.1f} points.
+"""
+REGIONS_WORDS = """## Regions at random
+
+The networks above learned from regions of 15 to 85 % of the surface. Seven of ten were one side of a plane. `r2h-batch train
+rank` now draws a third of [each kind](../training_loop.md#a-stream-to-learn-from), with 5 to 95 % of the surface. The table has
+success in percent: pose stage, {count} new instances that neither network saw; and S1 of this page's trials.
+
+{table}
+
 """
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
@@ -416,6 +458,17 @@ def received_words(data: Mapping[str, Any]) -> str:
     return RECEIVED.format(received_of=data["received_of"], received=markdown_table(["", *heads], taken))
 
 
+def regions_words(own: Mapping[str, Any]) -> str:
+    """The section on regions at random."""
+    names = ("that ship", "of `train rank` now")
+    rows = [
+        [f"weights {n}", *(f"{own[n][k]:.1f}" for k in KINDS), f"{own[f'96 objects, {n}']['s1']['sr']:.1f}"]
+        for n in names
+    ]
+    heads = [f"{k} ({own['trials'][k]} trials)" for k in KINDS]
+    return REGIONS_WORDS.format(count=own["objects"], table=markdown_table(["", *heads, "S1 of the 96"], rows))
+
+
 def generator_words(own: Mapping[str, Any]) -> str:
     """The section on the example's generator."""
     ways = []
@@ -473,6 +526,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
         turned=turned_words(data["turned"]) if "turned" in data else "",
         received=received_words(data) if "received" in data else "",
+        regions=regions_words(data["regions"]) if "regions" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",
