@@ -132,7 +132,7 @@ NAMED = """
 import contextlib, io
 from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.episodes import policy_of
-from r2h_batch.closed_loop.transfer.release import release_of
+from r2h_batch.closed_loop.transfer.own_release import release_of
 from r2h_batch.runs.store import load_run
 
 def run(*words):

@@ -993,6 +993,20 @@ MUTATIONS = (
         ('tests/learning/test_rank.py::test_an_interrupted_training_goes_on_with_the_same_bits_and_another_recipe_is_refused',),
     ),
     Mutation(
+        'release: answers of any shape are taken',
+        'r2h_batch/closed_loop/transfer/own_release.py',
+        'and tuple(value.shape) == shape',
+        '',
+        ('tests/closed_loop/transfer/test_transfer.py::test_an_answer_that_is_no_action_is_one_line_that_names_the_policy_and_what_is_allowed',),
+    ),
+    Mutation(
+        'release: NaN in an answer is taken',
+        'r2h_batch/closed_loop/transfer/own_release.py',
+        'if value.device.type == "cpu" and bool(odd.any()):',
+        'if False:',
+        ('tests/closed_loop/transfer/test_transfer.py::test_an_answer_that_is_no_action_is_one_line_that_names_the_policy_and_what_is_allowed',),
+    ),
+    Mutation(
         'ranker: the criteria that a file of weights names are not read',
         'r2h_batch/methods/ranker/network.py',
         'criteria = _told(path).get(_CRITERIA, UNNAMED)',

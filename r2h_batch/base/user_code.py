@@ -43,7 +43,7 @@ class UserFunction:
         return user_files([name, of_function, *_BROUGHT.get(name, ())])
 
 
-def load_function(spec: str) -> UserFunction:
+def load_function(spec: str, kind: str = "function") -> UserFunction:
     """The function that a text names.
 
     `package.module:function` is found as `python -m` finds it: in the current folder first. The
@@ -51,6 +51,7 @@ def load_function(spec: str) -> UserFunction:
 
     Args:
         spec: `package.module:function` or `FILE.py:function`.
+        kind: what messages call it, function or Class.
 
     Raises:
         ImportError: the module, file or function does not exist, two folders have modules of one
@@ -77,7 +78,7 @@ def load_function(spec: str) -> UserFunction:
     try:
         return UserFunction(getattr(module, name), module, spec)
     except AttributeError:
-        raise ImportError(f"{place} has no function {name!r}") from None
+        raise ImportError(f"{place} has no {kind.lower()} {name!r}") from None
 
 
 def raised(error: BaseException) -> str:
@@ -93,12 +94,15 @@ def raised(error: BaseException) -> str:
     return f"{what} ({printable(where.filename)}, line {where.lineno})"
 
 
-def chosen(registry: Registry[Any], spec: str) -> tuple[Any, UserFunction | None]:
+def chosen(
+    registry: Registry[Any], spec: str, kind: str = "function"
+) -> tuple[Any, UserFunction | None]:
     """A thing that a command line names: ours, and None; or somebody else's, and where it is from.
 
     Args:
         registry: of its kind.
         spec: a name, ours or of an installed package (`r2h_batch.plugins`), or as `load_function` takes it.
+        kind: as of `load_function`.
 
     Raises:
         ImportError: one line: no such name, module, file or function.
@@ -108,8 +112,8 @@ def chosen(registry: Registry[Any], spec: str) -> tuple[Any, UserFunction | None
         if not place:
             return registry[spec], None
     except PluginError as error:
-        raise ImportError(f"{error}; your own is {HOW}") from None
-    found = load_function(place)
+        raise ImportError(f"{error}; your own is {HOW.replace('function', kind)}") from None
+    found = load_function(place, kind)
     return found.function, found
 
 

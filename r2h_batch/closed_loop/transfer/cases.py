@@ -19,8 +19,8 @@ from r2h_batch.base.io.child import end_with
 from r2h_batch.closed_loop.transfer.handed import Gripped, Handed
 from r2h_batch.closed_loop.transfer.held import Holding, Holds
 from r2h_batch.closed_loop.transfer.model import Setting
+from r2h_batch.closed_loop.transfer.own_release import maker_of
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
-from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.closed_loop.transfer.simulate import Transfers, noise_of, simulate
 from r2h_batch.closed_loop.transfer.worlds import Worlds
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
@@ -125,7 +125,7 @@ def transferred(
     made = simulate(
         worlds,
         hands,
-        release_of(case.release)[0],
+        maker_of(case.release),
         R_world_gripper=torch.from_numpy(handed.R_world_gripper),
         com_closed=com_closed,
         noise=noise_of(handed.trial_id, case.person, seed),

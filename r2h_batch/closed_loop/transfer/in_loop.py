@@ -12,8 +12,9 @@ from torch import Tensor
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.model import TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import Outcome
+from r2h_batch.closed_loop.transfer.own_release import maker_of
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, draw_persons
-from r2h_batch.closed_loop.transfer.release import Action, Observation, RobotSide, release_of
+from r2h_batch.closed_loop.transfer.release import Action, Observation, RobotSide
 from r2h_batch.closed_loop.transfer.simulate import Running, noise_of
 from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
 from r2h_batch.judge.motion.simulation import warnings_unwritten
@@ -55,7 +56,7 @@ class LoopTransfers:
             ImportError, TypeError: there is no such policy, or it is no class.
         """
         self.asked = release == ASKED
-        self.policy = _Asked if self.asked else release_of(release)[0]
+        self.policy = _Asked if self.asked else maker_of(release)
         self.scene, self.rate_hz = scene, rate_hz
         self.models = Models(scene.robot, tuple(scene.objects), Setting())
         self.rows: dict[int, _Row] = {}

@@ -14,9 +14,7 @@ from jaxtyping import Bool, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.base.user_code import chosen
 from r2h_batch.plugins import Registry
-from r2h_batch.runs import provenance
 from r2h_batch.trials.holding.held_out import G
 
 POLICIES: Registry[Any] = Registry("release policy")
@@ -296,21 +294,3 @@ def second_singular_exceeds(
     trace, minors = a + b + c, a * b + a * c + b * c - xx - yy - zz
     determinant = a * b * c + 2 * turned - a * zz - b * yy - c * xx
     return torch.where(determinant > 0, (minors > 0) & (trace > 0), ~((minors > 0) & (trace < 0)))
-
-
-def release_of(spec: str) -> tuple[Any, str]:
-    """A policy by its name, or the user's class (`package.module:Class` or `FILE.py:Class`), and a text
-    that says what decides its actions.
-
-    Raises:
-        ImportError: the module or class does not exist.
-        TypeError: it is not a class.
-    """
-    policy, own = chosen(POLICIES, spec)
-    if own is None:
-        return policy, spec
-    if not isinstance(policy, type):
-        raise TypeError(
-            f"{spec} is no class; a release policy is made for each batch, Class(robot)"
-        )
-    return policy, f"{own.spec} {provenance.file_digest(own.files().values())[:16]}"

@@ -138,7 +138,7 @@ def simulate(
 
     Args:
         worlds, hands, R_world_gripper, com_closed, noise: as of `Running`.
-        policy: a class of `release.POLICIES`, or a user's.
+        policy: makes the release policy, as a class of `release.POLICIES` does, or `own_release.maker_of`.
     """
     running = Running(
         worlds, hands, R_world_gripper=R_world_gripper, com_closed=com_closed, noise=noise

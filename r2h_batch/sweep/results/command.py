@@ -390,8 +390,8 @@ def check_cases(release: Sequence[str], scenario: Sequence[str], *, flag: str) -
         scenario: names of `person.SCENARIOS`.
         flag: that named the scenarios.
     """
+    from r2h_batch.closed_loop.transfer.own_release import release_of
     from r2h_batch.closed_loop.transfer.person import SCENARIOS
-    from r2h_batch.closed_loop.transfer.release import release_of
 
     if unknown := [s for s in scenario if s not in SCENARIOS]:
         raise UsageError(f"{flag} {unknown[0]}: there is none; choose {', '.join(SCENARIOS)}")

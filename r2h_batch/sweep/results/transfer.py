@@ -25,8 +25,8 @@ from r2h_batch.closed_loop.transfer.cases import (
 from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
 from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.outcome import FACTOR, Outcome
+from r2h_batch.closed_loop.transfer.own_release import release_of
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
-from r2h_batch.closed_loop.transfer.release import release_of
 from r2h_batch.closed_loop.transfer.simulate import NEAR_N
 from r2h_batch.judge.reception import reception
 from r2h_batch.protocols.choice import BenchmarkChoice

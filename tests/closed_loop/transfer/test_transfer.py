@@ -13,12 +13,14 @@ from alive import alive, all_end, children_of, until
 from rounds import each
 from screwdriver import OBJECTS, ROBOT, screwdrivers
 
-from r2h_batch.closed_loop.transfer import person, release
+from r2h_batch.base.errors import UserError
+from r2h_batch.closed_loop.transfer import own_release, person, release
 from r2h_batch.closed_loop.transfer.cases import Case, Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import Handed
 from r2h_batch.closed_loop.transfer.in_loop import LoopTransfers
 from r2h_batch.closed_loop.transfer.model import STEPS, TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import FACTOR, Book
+from r2h_batch.closed_loop.transfer.own_release import maker_of, release_of
 from r2h_batch.closed_loop.transfer.person import draw_persons
 from r2h_batch.closed_loop.transfer.simulate import NEAR_N, Transfers
 from r2h_batch.closed_loop.transfer.worlds import Seen
@@ -330,7 +332,7 @@ def test_while_nobody_comes_the_pads_keep_it_and_slippery_ones_do_not():
 
 
 def test_a_hand_without_grip_drops_what_the_robot_lets_go(monkeypatch):
-    monkeypatch.setattr(release, "POLICIES", Registry("release policy", {"at-once": AtOnce}))
+    monkeypatch.setattr(own_release, "POLICIES", Registry("release policy", {"at-once": AtOnce}))
     handed = screwdrivers()
     weak = replace(handed, capacity=handed.capacity * 0)
     (made,) = simulated(weak, Case("at-once", "take", 0))
@@ -426,10 +428,84 @@ def test_a_users_class_in_a_file_decides(tmp_path):
 
 
 def test_policies_that_do_not_exist_are_named():
-    with pytest.raises(ImportError, match="never, timer, threshold, load-share, probe"):
-        release.release_of("soon")
+    with pytest.raises(
+        ImportError,
+        match=r"never, timer, threshold, load-share, probe; your own is package.module:Class or FILE.py:Class",
+    ):
+        release_of("soon")
+    with pytest.raises(ImportError, match="math has no class 'Sin'"):
+        release_of("math:Sin")
     with pytest.raises(TypeError, match="is no class"):
-        release.release_of("math:sin")
+        release_of("math:sin")
+
+
+POLICY = """
+import sys
+import torch
+from r2h_batch.closed_loop.transfer.release import Action
+
+
+class Mine:
+    def __init__(self, robot):
+        {made}
+        self.no = robot.weight_n < 0
+        self.half = torch.full_like(robot.weight_n, 0.5)
+
+    def __call__(self, seen):
+        return {answer}
+"""
+ALLOWED = {
+    "open": "open is {}; it must be a tensor (3,) of bool on cpu: a row for each transfer",
+    "squeeze": "squeeze is {}; it must be a tensor (3,) of float64 on cpu, or None: a row for each transfer",
+    "shift": "shift is {}; it must be a tensor (3, 3) of float64 on cpu, or None: a row for each transfer",
+    "surplus_n": "surplus_n is {}; it must be a tensor (3,) of float64 on cpu, or None: a row for each transfer",
+}
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("Action(self.no[:1])", ALLOWED["open"].format("a tensor (1,) of bool on cpu")),
+        ("Action(self.half)", ALLOWED["open"].format("a tensor (3,) of float64 on cpu")),
+        ("Action(False)", ALLOWED["open"].format("bool False")),
+        ("Action(None)", ALLOWED["open"].format("NoneType None")),
+        ("Action(self.no, self.half[:2])", ALLOWED["squeeze"].format("a tensor (2,) of float64 on cpu")),
+        ("Action(self.no, 0.5)", ALLOWED["squeeze"].format("float 0.5")),
+        ("Action(self.no, shift=self.half)", ALLOWED["shift"].format("a tensor (3,) of float64 on cpu")),
+        ("Action(self.no, surplus_n=self.no)", ALLOWED["surplus_n"].format("a tensor (3,) of bool on cpu")),
+        ("Action(self.no, self.half / 0)", "squeeze holds inf; it must hold finite numbers, 0 to 1"),
+        ("Action(self.no, shift=seen.force * torch.nan)", "shift holds nan; it must hold finite numbers, m"),
+        ("Action(self.no, surplus_n=self.half * torch.nan)", "surplus_n holds nan; it must hold numbers, N"),
+        ("self.no", "its answer is a tensor (3,) of bool on cpu; it must be an Action"),
+        ("None", "its answer is NoneType None; it must be an Action"),
+        ("self.no[seen]", "mine.py, line "),
+        ("sys.exit(0)", "SystemExit: 0 ("),
+    ],
+)
+def test_an_answer_that_is_no_action_is_one_line_that_names_the_policy_and_what_is_allowed(tmp_path, answer, said):
+    (file := tmp_path / "mine.py").write_text(POLICY.format(made="pass", answer=answer))
+    with pytest.raises(UserError) as error:
+        simulated(screwdrivers(), Case(f"{file}:Mine", "touch", 0))
+    text = str(error.value)
+    assert text.startswith("release policy mine.py:Mine: ") and said in text and "\n" not in text
+
+
+def test_a_class_that_cannot_be_made_or_called_is_one_line(tmp_path):
+    (file := tmp_path / "mine.py").write_text(POLICY.format(made="self.x = robot.mass", answer="None"))
+    with pytest.raises(UserError, match=r"mine.py:Mine: AttributeError: .* has no attribute 'mass' .*mine.py, line 9"):
+        simulated(screwdrivers(), Case(f"{file}:Mine", "touch", 0))
+    bare = tmp_path / "bare.py"
+    bare.write_text("class Mine:\n    def __init__(self, robot):\n        pass\n")
+    with pytest.raises(UserError, match="an object of it cannot be called; write __call__"):
+        maker_of(f"{bare}:Mine")(release.RobotSide(torch.ones(3, dtype=torch.float64), TICK_S))
+
+
+def test_a_policy_may_answer_in_single_precision_and_with_gradients(tmp_path):
+    (file := tmp_path / "mine.py").write_text(
+        POLICY.format(made="pass", answer="Action(seen.force[:, 0] > 1e9, self.half.float().requires_grad_())")
+    )
+    (made,) = simulated(screwdrivers(), Case(f"{file}:Mine", "touch", 0))
+    assert made.transfers.outcome == ["kept"] * 3
 
 
 def test_processes_give_rows_back_in_their_order_and_one_process_needs_no_pool():

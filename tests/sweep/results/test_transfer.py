@@ -82,7 +82,15 @@ def test_a_run_without_bodies_and_wrong_words_are_told_what_is_missing(run, tmp_
     assert main(["results", "transfer", str(run), "--scenario", "grab"]) == 2
     assert "take, touch, nobody, pull-early, weak" in capsys.readouterr().err
     assert main(["results", "transfer", str(run), "--release", "soon"]) == 2
-    assert "never, timer, threshold, load-share, probe" in capsys.readouterr().err
+    said = "never, timer, threshold, load-share, probe; your own is package.module:Class or FILE.py:Class"
+    assert said in capsys.readouterr().err
+    (own := tmp_path / "tug.py").write_text(
+        "from r2h_batch.closed_loop.transfer.release import Action\n\n\nclass Tug:\n    def __init__(self, robot):\n"
+        "        self.no = robot.weight_n[:1] < 0\n\n    def __call__(self, seen):\n        return Action(self.no)\n"
+    )
+    assert main(["results", "transfer", str(run), "--release", f"{own}:Tug", "--processes", "2"]) == 2
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert "release policy tug.py:Tug: open is a tensor (1,) of bool on cpu; it must be a tensor (" in line
 
 
 def test_the_report_goes_from_success_to_taken_and_files_of_other_rows_are_left_out(run, tmp_path):
