@@ -86,7 +86,7 @@ def progress(
     """Gives `advance(n)`: a bar on a terminal, else a plain line every 30 s and one at the end, all
     on stderr."""
     start, done = time.perf_counter(), 0
-    with steps(name, total, "trials", first_s=PLAIN_EVERY_S, every_s=PLAIN_EVERY_S) as advance:
+    with steps(name, total, "trials", every_s=PLAIN_EVERY_S) as advance:
 
         def count(n: int) -> None:
             nonlocal done

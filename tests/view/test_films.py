@@ -1,5 +1,7 @@
 """Films: what they say, what they show at the end, and that they say how far they are."""
 
+import re
+import threading
 import time
 from dataclasses import replace
 
@@ -121,12 +123,18 @@ def test_long_work_says_how_far_it_is_and_short_work_nothing(monkeypatch):
         for _ in range(10):
             told(1)
     assert not said
-    clock = iter(np.arange(0.0, 100.0, 3.0))
-    monkeypatch.setattr(time, "perf_counter", lambda: float(next(clock)))
-    with steps.progress("film", 10, "pictures") as told:
-        for _ in range(10):
-            told(1)
-    assert said[0] == "film: 2/10 pictures, 0.3 pictures/s, 24 s left" and len(said) == 2, said
+    heard = threading.Semaphore(0)
+    monkeypatch.setattr(LOG, "info", lambda line: (said.append(line), heard.release()))
+    with steps.progress("film", 10, "pictures", first_s=0.01, every_s=0.01) as told:
+        assert heard.acquire(timeout=20)  # though the first picture is not there yet
+        told(4)
+        assert any(heard.acquire(timeout=20) and "4/10" in said[-1] for _ in range(100))
+        told(6)
+    assert re.fullmatch(r"film: 0/10 pictures after \d+ s", said[0]), said
+    assert re.fullmatch(r"film: 4/10 pictures, [\d.]+ pictures/s, \d+ s left", said[-1]), said
+    number = len(said)
+    time.sleep(0.05)
+    assert len(said) == number, "nothing is said of what has ended"
 
 
 def test_a_film_tells_how_far_it_is_in_python_too(reader, tmp_path, monkeypatch):

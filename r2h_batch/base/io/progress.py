@@ -1,8 +1,10 @@
-"""How far long work is: a bar on a terminal, else lines on stderr once it takes longer than a few seconds."""
+"""How far long work is: a bar on a terminal, else lines on stderr once it takes longer than a few seconds, also while a
+single step of it lasts."""
 
 import contextlib
 import os
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 
@@ -28,7 +30,6 @@ def progress(
         every_s: between later lines, s.
     """
     start, done = time.perf_counter(), 0
-    due = start + first_s
     if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
         from rich import progress as rich
         from rich.console import Console
@@ -40,14 +41,30 @@ def progress(
             yield lambda n: bar.advance(task, n)
         return
 
-    def speak(n: int) -> None:
-        nonlocal done, due
-        done += n
-        now = time.perf_counter()
-        if now >= due and done < total:
-            rate = done / (now - start)
-            left = f"{rate:.1f} {unit}/s, {(total - done) / max(rate, 1e-9):.0f} s left"
-            LOG.info(f"{name}: {done}/{total} {unit}, {left}")
-            due = now + every_s
+    ended = threading.Event()
 
-    yield speak
+    def speak() -> None:
+        wait = first_s
+        while not ended.wait(wait):
+            wait = every_s
+            passed = time.perf_counter() - start
+            if 0 < done < total:
+                left = (total - done) / (done / passed)
+                LOG.info(
+                    f"{name}: {done}/{total} {unit}, {done / passed:.1f} {unit}/s, {left:.0f} s left"
+                )
+            elif done < total:
+                LOG.info(f"{name}: 0/{total} {unit} after {passed:.0f} s")
+
+    def count(n: int) -> None:
+        nonlocal done
+        done += n
+
+    # a thread, because one step may take longer than the time until the next line
+    speaker = threading.Thread(target=speak, name=f"progress of {name}", daemon=True)
+    speaker.start()
+    try:
+        yield count
+    finally:
+        ended.set()
+        speaker.join()
