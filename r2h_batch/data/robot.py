@@ -206,6 +206,11 @@ def import_robot(
             srdf=srdf, home=home, offset=turned(way), pads=pads, folders=folders,
         )  # fmt: skip
         return again._replace(report=again.report | {"offset": way})
+    if chain.replaced:
+        left_out = printable(", ".join(sorted(chain.replaced)))[:120]
+        LOG.info(
+            f"{shown}: without {left_out} and what it carries: the 2F-85 replaces it; --fingers keeps it"
+        )
     hand = None if fingers is None else read_fingers(model, flange, fingers)
     parts = chain.links if hand is None else (*chain.links, hand.palm)
     moving = () if hand is None else hand.parts

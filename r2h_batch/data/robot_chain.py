@@ -83,6 +83,8 @@ class Chain:
     """the flange and the links of the file that it carries"""
     assumed: tuple[str, ...]
     """joints whose torque the file does not say"""
+    replaced: tuple[str, ...]
+    """links that are left out, with what they carry: `grippers_at`"""
 
 
 def at_flange(model: Model, name: str, offset: Array, *, bare: bool) -> tuple[Model, str]:
@@ -127,7 +129,7 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
         model: the robot's file.
         base: the link that stands still.
         flange: the link that carries the gripper.
-        bare: without what is fixed to the flange.
+        bare: without what is fixed to the flange; else without a gripper of the file alone (`grippers_at`).
 
     Raises:
         FileError: one line that says what the file has and what is allowed.
@@ -160,7 +162,8 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
         moving.append(link.joint)
         carried.append(link.name)
         back.append(turn.T)
-    ends = {*carried, flange} if bare else set(carried)
+    replaced = [] if bare else grippers_at(model, carried[-1], flange)
+    ends = {*carried, flange} if bare else {*carried, *replaced}
     parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
     T_joints, T_flange = _exact(np.array(frames).reshape(-1, 4, 4)), _exact(T_before)
     low, high = np.array([_range(joint, shown) for joint in moving]).reshape(-1, 2).T
@@ -176,7 +179,28 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
     return Chain(
         tuple(joint.name for joint in moving), T_joints, T_flange, low, high, speed, effort,
         tuple(parts), frozenset(beyond), tuple(j.name for j, no in zip(moving, missing, strict=True) if no),
+        tuple(replaced),
     )  # fmt: skip
+
+
+def grippers_at(model: Model, last: str, flange: str) -> list[str]:
+    """The file's own grippers at the end of an arm, which another one replaces: links that stand still beside the last moving
+    link and carry joints, themselves or by what is fixed to them, but the flange and what lies before it."""
+    before, at = {flange}, flange
+    while at != last:
+        at = model.links[at].parent
+        before.add(at)
+
+    def moves(link: Body) -> bool:
+        return any(x.joint is not None or moves(x) for x in model.below(link.name))
+
+    found = []
+    for name in before:
+        fixed = [
+            link for link in model.below(name) if link.joint is None and link.name not in before
+        ]
+        found += [link.name for link in fixed if moves(link)]
+    return found
 
 
 def read_fingers(model: Model, flange: str, pads: tuple[str, str]) -> Fingers:

@@ -132,7 +132,8 @@ def score_local(work: Scoring) -> list[str]:
         todo = sorted(todo, key=lambda s: folder.deaths(job.name, s))
         LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
-            warm_up(job, work.setting)
+            with steps(f"{job.name}: warming up", 1, ""):
+                warm_up(job, work.setting)
             with progress(
                 job.name, sum(s.last - s.first for s in todo), file=work.progress
             ) as advance:

@@ -40,7 +40,7 @@ def test_a_site_or_a_link_with_an_offset_is_a_flange(tmp_path):
     offset = turned(0.03, 0, 0, np.pi / 2)
     by_link, name = at_flange(model, "l7", offset, bare=False)
     chain = read_chain(by_link, "base", name)
-    assert np.abs(chain.T_last_flange - offset).max() < 1e-9 and "flange" in chain.links[-1].members
+    assert np.abs(chain.T_last_flange - offset).max() < 1e-9
     # with the file's gripper the link carries nothing but itself, and the fingers stay where they are
     model, name = at_flange(model, "l7", offset, bare=True)
     bare, usual = read_chain(model, "base", name, bare=True), read_fingers(read_model(path), "flange", PADS)
@@ -53,6 +53,21 @@ def test_a_site_or_a_link_with_an_offset_is_a_flange(tmp_path):
 
 
 PADS = ("left_finger", "right_finger")
+
+
+def test_another_gripper_replaces_that_of_the_file_wherever_it_hangs_at_the_last_link(tmp_path):
+    model = read_model(write_urdf(tmp_path))
+    kept = read_chain(model, "base", "flange")
+    assert "flange" in kept.links[-1].members and kept.replaced == ()  # what carries the new gripper stays
+    by_offset, name = at_flange(model, "l7", turned(z=0.07), bare=False)
+    for at, named in ((model, "l7"), (by_offset, name)):
+        chain = read_chain(at, "base", named)
+        assert chain.replaced == ("flange",), "it carries the fingers"
+        assert not {"flange", *PADS} & {*chain.links[-1].members}
+    fingers = {name: replace(link, joint=None) for name, link in model.links.items() if name in PADS}
+    tool = replace(model, links={**model.links, **fingers})  # a tool that nothing moves is no gripper
+    chain = read_chain(tool, "base", "l7")
+    assert chain.replaced == () and {"flange", *PADS} <= {*chain.links[-1].members}
 
 
 def test_joints_without_a_torque_get_what_holds_the_stretched_arm_twice(tmp_path):

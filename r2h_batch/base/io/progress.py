@@ -24,13 +24,18 @@ def progress(
 
     Args:
         name: what is done.
-        total: of the things that are done.
+        total: of the things that are done; 1: what nobody can count, so a line says the seconds alone.
         unit: what they are: trials, pictures.
         first_s: when the first line comes, s.
         every_s: between later lines, s.
     """
     start, done = time.perf_counter(), 0
-    if sys.stderr.isatty() and not is_quiet() and os.environ.get("TERM", "dumb") != "dumb":
+    if (
+        total > 1
+        and sys.stderr.isatty()
+        and not is_quiet()
+        and os.environ.get("TERM", "dumb") != "dumb"
+    ):
         from rich import progress as rich
         from rich.console import Console
 
@@ -54,7 +59,8 @@ def progress(
                     f"{name}: {done}/{total} {unit}, {done / passed:.1f} {unit}/s, {left:.0f} s left"
                 )
             elif done < total:
-                LOG.info(f"{name}: 0/{total} {unit} after {passed:.0f} s")
+                so_far = f"0/{total} {unit} after " if total > 1 else ""
+                LOG.info(f"{name}: {so_far}{passed:.0f} s{'' if so_far else ' so far'}")
 
     def count(n: int) -> None:
         nonlocal done

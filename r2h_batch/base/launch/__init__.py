@@ -6,14 +6,16 @@ import os
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from typing import Any
 
 import torch
 import warp as wp
 
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.launch import cached, repeated
 from r2h_batch.base.launch.arguments import bind, new_outputs, written_shapes
 from r2h_batch.base.launch.threads import (
@@ -278,7 +280,17 @@ def load(kernels: Sequence[Any], device: str) -> None:
                 " minute"
             )
     block_dim = 1 if device == "cpu" else UNEVEN_BLOCK_DIM
-    wp.force_load(device, modules=modules, block_dim=block_dim, max_workers=workers)
+    if workers < 2:
+        wp.force_load(device, modules=modules, block_dim=block_dim, max_workers=0)
+        return
+    with (
+        progress("compiling", len(modules), "files of kernels") as told,
+        ThreadPoolExecutor(workers) as pool,
+    ):
+        one = partial(wp.force_load, device, block_dim=block_dim, max_workers=0)
+        for done in as_completed([pool.submit(one, modules=[module]) for module in modules]):
+            done.result()
+            told(1)
 
 
 def launch(
