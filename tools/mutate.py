@@ -2142,6 +2142,13 @@ MUTATIONS = (
         (f"{T_BELIEVED}::test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers",),
     ),
     Mutation(
+        "believed: what a solid was built of is left to Python",
+        "r2h_batch/methods/believed.py",
+        "if next(_BUILT) % GARBAGE_AFTER == 0:",
+        "if False:",
+        (f"{T_BELIEVED}::test_meshes_that_a_solid_was_built_of_do_not_pile_up",),
+    ),
+    Mutation(
         "solid: nothing is carved",
         "r2h_batch/observe/solid.py",
         "full[rows[view.carves(nodes[rows])]] = False",

@@ -1,5 +1,6 @@
 """Built-in methods in the world that cameras show (r2h_batch.methods.believed, r2h_batch.observe.solid)."""
 
+import gc
 from dataclasses import replace
 from functools import cache
 
@@ -13,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
-from r2h_batch.methods import believed, fc, handover_va
+from r2h_batch.methods import believed, fc, handover_va, random
 from r2h_batch.methods.believed import AskedHere
 from r2h_batch.observe.seeing import look
 from r2h_batch.observe.seen import LABELS
@@ -207,3 +208,22 @@ def test_a_benchmark_without_names_is_believed_of_every_protocol():
     for name in each(("r2h-v0", "r2h-v1", "r2h-release")):
         known, hands = believed.known_before(load_benchmark(name))
         assert known.listed is None and sorted(set(hands.side.tolist())) == sorted(hands.side.tolist())
+
+
+def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
+    def alive():
+        return sum(type(x) is trimesh.Trimesh for x in gc.get_objects())
+
+    monkeypatch.setattr(believed, "GARBAGE_AFTER", 1)
+    forget()
+    gc.collect()
+    before = alive()
+    gc.disable()
+    try:
+        asked(random, shown=()).ask(view()[:3])
+        after = alive()
+    finally:
+        gc.enable()
+    assert len(believed.SOLIDS) == 3
+    # the last one was in hand when it was looked for
+    assert after <= before + 1, (before, after)
