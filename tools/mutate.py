@@ -490,9 +490,46 @@ MUTATIONS = (
     Mutation(
         "shipped answers: the object's pose alone counts",
         "r2h_batch/report/compare/shipped_answers.py",
-        "near.all(1).sum()",
-        "near[:, 0].sum()",
+        "axis=2).max(1)",
+        "axis=2)[:, 0]",
         ("tests/report/test_board.py::test_no_shipped_method_has_the_answers_of_another_one",),
+    ),
+    Mutation(
+        "shipped answers: how the object is turned does not count",
+        "r2h_batch/report/compare/shipped_answers.py",
+        " & (cosine >= np.cos(np.radians(MOVED_DEG)))",
+        "",
+        (
+            "tests/report/test_board.py::"
+            "test_a_shipped_answer_may_turn_the_object_by_less_than_8_degrees_where_it_is_moved",
+        ),
+    ),
+    Mutation(
+        "methods that see: any length is read from their pipe",
+        "r2h_batch/observe/messages.py",
+        "    if size > most:",
+        "    if False:",
+        (
+            "tests/observe/test_apart.py::"
+            "test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_process_ends",
+        ),
+    ),
+    Mutation(
+        "methods that see: any arrays are an answer",
+        "r2h_batch/observe/apart.py",
+        "        if wrong := _wrong(answer, len(seen)):",
+        "        if wrong := '':",
+        (
+            "tests/observe/test_apart.py::"
+            "test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_process_ends",
+        ),
+    ),
+    Mutation(
+        "training: what torch says of a damaged checkpoint ends the command",
+        "r2h_batch/learning/rank.py",
+        "    except Exception as error:  # torch's readers",
+        "    except ZeroDivisionError as error:  # torch's readers",
+        ("tests/learning/test_rank.py::test_a_checkpoint_that_is_none_is_refused_in_one_line",),
     ),
     Mutation(
         "hidden trials: the seed is no part of the promise",

@@ -2,7 +2,9 @@
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -10,8 +12,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, UserError
 from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.read import open_file
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.base.validate import integer, sequence_of
@@ -32,8 +35,32 @@ BLIND = 0.25
 """Share of the trials whose region is hidden while it learns."""
 BATCH, MINED_BATCH = 64, 24
 """Trials of a step; how many of them are mined, where some are."""
+MOST_BYTES = 4 << 30
+"""Of a stored file."""
 EVERY = 100
 """Steps between two lines and two checkpoints."""
+
+
+@contextmanager
+def stored_state(path: Path) -> Iterator[Mapping[str, Any]]:
+    """What this command has stored at a place, for as long as it is taken over.
+
+    Raises:
+        FileError: the file is something else or damaged, whether torch finds it or who takes it over does.
+    """
+    try:
+        with open_file(path, MOST_BYTES) as file, warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # of a pickle that torch did not write: it is refused below
+            kept = torch.load(file, weights_only=True)
+        yield kept
+    except UserError:
+        raise
+    except Exception as error:  # torch's readers raise whatever their parts do
+        words = "damaged, or not written by this command; remove it, or give another --out"
+        raise FileError(f"{path}: {words}") from error
+
 
 Told = Callable[[str], None]
 Logged = Callable[[Mapping[str, float], int], None]
@@ -162,15 +189,19 @@ class Training:
         self.spent: dict[str, float] = {}
         self.lessons: list[Lessons] = []
         if (path := out / CHECKPOINT).exists():
-            kept = torch.load(path, weights_only=True)
-            if kept["recipe"] != plain(recipe, pairs):
-                raise FileError(
-                    f"{path}: is of another recipe or benchmark; give another --out, or the same flags"
+            with stored_state(path) as kept:
+                if kept["recipe"] != plain(recipe, pairs):
+                    raise FileError(
+                        f"{path}: is of another recipe or benchmark; give another --out, or the same flags"
+                    )
+                self.net.load_state_dict(kept["net"])
+                self.adam.load_state_dict(kept["adam"])
+                self.random.set_state(kept["random"])
+                self.step, self.shown, self.spent = (
+                    int(kept["step"]),
+                    float(kept["shown"]),
+                    dict(kept["spent"]),
                 )
-            self.net.load_state_dict(kept["net"])
-            self.adam.load_state_dict(kept["adam"])
-            self.random.set_state(kept["random"])
-            self.step, self.shown, self.spent = kept["step"], kept["shown"], kept["spent"]
             tell(f"{path}: goes on at step {self.step}")
 
     def keep(self) -> None:
@@ -208,7 +239,8 @@ class Training:
         path, recipe, start = self.out / LESSONS.format(number), self.recipe, time.process_time()
         done = recipe.steps + (number - 1) * recipe.mined_steps
         if path.exists() and self.step >= (done if number else 1):
-            found = Lessons(**torch.load(path, weights_only=True))
+            with stored_state(path) as kept:
+                found = Lessons(**kept)
         else:
             many = recipe.mined_items if number else recipe.items
             with progress("labels", many, "items") as told:
