@@ -532,6 +532,30 @@ MUTATIONS = (
         ("tests/learning/test_rank.py::test_a_checkpoint_that_is_none_is_refused_in_one_line",),
     ),
     Mutation(
+        "export: a file is called what a stranger's run says",
+        "r2h_batch/view/export/release.py",
+        "own = _ID.fullmatch(text) and times[text.casefold()] == 1",
+        "own = text and times[text.casefold()] == 1",
+        (
+            "tests/view/export/test_export_release.py::"
+            "test_a_text_that_is_no_id_of_the_release_gets_another_one_and_nothing_lies_beside_the_folder",
+        ),
+    ),
+    Mutation(
+        "user's code: an error must say what it is",
+        "r2h_batch/base/user_code.py",
+        "    except Exception:\n        return",
+        "    except KeyError:\n        return",
+        ("tests/sweep/test_answers.py::test_a_wrong_answer_is_refused_and_the_line_names_the_method",),
+    ),
+    Mutation(
+        "user's code: a function in the evaluator itself is nobody's",
+        "r2h_batch/sweep/scoring.py",
+        "if callable(getattr(type(evaluator), k, None))}",
+        "if False}",
+        ("tests/sweep/test_user_code.py::test_a_method_that_changes_what_judges_it_is_refused_in_one_line",),
+    ),
+    Mutation(
         "hidden trials: the seed is no part of the promise",
         "r2h_batch/protocols/hidden.py",
         "hidden trials\\n{benchmark.seed}\\n{published}",
