@@ -556,6 +556,20 @@ MUTATIONS = (
         ("tests/sweep/test_user_code.py::test_a_method_that_changes_what_judges_it_is_refused_in_one_line",),
     ),
     Mutation(
+        "rigs: a field of tables in tables is shown whole",
+        "r2h_batch/observe/rig.py",
+        "describe_value(first['input'])",
+        "repr(first['input'])",
+        ("tests/observe/test_rays.py::test_a_rig_that_cannot_be_is_refused_in_one_line",),
+    ),
+    Mutation(
+        "turns: degrees in digits of other scripts are read",
+        "r2h_batch/protocols/edit.py",
+        "parse_number(angle) for angle",
+        "float(angle) for angle",
+        ("tests/sweep/test_turn.py::test_an_invalid_turn_is_refused_before_anything_is_scored",),
+    ),
+    Mutation(
         "hidden trials: the seed is no part of the promise",
         "r2h_batch/protocols/hidden.py",
         "hidden trials\\n{benchmark.seed}\\n{published}",
