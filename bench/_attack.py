@@ -242,10 +242,13 @@ def ran(one: Command, place: Place, folder: Path) -> Ended:
     said, told = ((folder / name).read_text(errors="backslashreplace") for name in ("said", "told"))
     if "Traceback (most recent call last)" in said + told:
         how = "traceback"
+    if how == "crash (130)":
+        how = "refused"  # as an interruption: no row is stored
     if how == "refused":
         lines = [x for x in said.strip().splitlines() if not PROGRESS.search(x)]
         names = {"attack"} if callable(one) else {one[0], " ".join(one[:2]), "r2h-batch"}
         own = [x for x in lines if x.split(":")[0] in names]
+        own = own or told.strip().splitlines()[-1:]  # `verify` and `reevaluate` answer: exit 1 is their answer
         if not own or len(own) > MOST_LINES or max(map(len, own)) > MOST_LETTERS:
             how = f"refused in {len(own)} lines of {max(map(len, own), default=0)} letters at most"
     return Ended(how, round(time.monotonic() - start, 2), max(0, peak - round(before)), said, told)
