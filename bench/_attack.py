@@ -87,20 +87,24 @@ def sound() -> Path:
     return folder
 
 
+def small_run() -> Path:
+    """A run of six random rows on r2h-v1."""
+    return swept("small", "--benchmark r2h-v1 --method random --trials 3 --save-paths")
+
+
 def small(place: Place, name: str = "run") -> Path:
-    """A copy of a run of six random rows on r2h-v1."""
-    return Path(
-        shutil.copytree(swept("small", "--benchmark r2h-v1 --method random --trials 3 --save-paths"), place.work / name)
-    )
+    """A copy of the small run."""
+    return Path(shutil.copytree(small_run(), place.work / name))
+
+
+def solved_run() -> Path:
+    """A run with paths, of two methods on four trials of r2h-v1."""
+    return swept("solved", "--benchmark r2h-v1 --method oracle random --trials 2 --save-paths")
 
 
 def solved(place: Place, name: str = "run") -> Path:
-    """A copy of a run with paths, of two methods on four trials of r2h-v1."""
-    return Path(
-        shutil.copytree(
-            swept("solved", "--benchmark r2h-v1 --method oracle random --trials 2 --save-paths"), place.work / name
-        )
-    )
+    """A copy of the solved run."""
+    return Path(shutil.copytree(solved_run(), place.work / name))
 
 
 def ranked() -> Path:

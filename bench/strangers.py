@@ -21,6 +21,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import _attack
 import _strange_answers
 import _strange_methods
 import _strange_names
@@ -36,39 +37,46 @@ from r2h_batch.__main__ import COMMANDS, main
 
 STORED, PAGE = ROOT / "bench" / "results" / "strangers.json", ROOT / "docs" / "results" / "attacks.md"
 MEASURES = ("bench/strangers.py", "bench/_attack.py", "r2h_batch/base/io", "r2h_batch/runs", "r2h_batch/sweep")
-WORKERS = 3
+WORKERS = 4
 LISTS = (_strange_names, _strange_answers, _strange_places, _strange_runs, _strange_things, _strange_methods)
 
 
 SHORT = {
-    "a method's name": 8,
-    "trials' names": 5,
-    "a robot's name": 1,
-    "a run's folder": 2,
-    "words of a run.json": 4,
-    "numbers of answers": 7,
-    "answers as text": 20,
-    "motions": 6,
-    "trials' arrays": 10,
-    "links in a run folder": 8,
-    "clocks and claims": 4,
-    "other writers": 3,
-    "forged shards": 14,
-    "files of shards": 8,
-    "forged files beside the shards": 4,
-    "archives of submissions": 7,
-    "another's answers": 4,
-    "meshes": 14,
-    "robots": 14,
-    "rigs": 14,
-    "weights": 9,
-    "what a method leaves behind": 10,
-    "what a method patches": 3,
-    "how a method ends": 10,
-    "what a method says of itself": 8,
-    "methods that see": 3,
-    "release policies": 1,
-    "seeds of an environment": 5,
+    "a method's name": 3,
+    "trials' names": 0,
+    "a robot's name": 0,
+    "a run's folder": 1,
+    "words of a run.json": 3,
+    "words of a method's file": 2,
+    "numbers of answers": 4,
+    "answers as text": 12,
+    "archives of answers": 14,
+    "types of answers": 20,
+    "motions": 3,
+    "trials' arrays": 4,
+    "links in a run folder": 3,
+    "clocks and claims": 2,
+    "other writers": 2,
+    "forged shards": 8,
+    "files of shards": 4,
+    "files named by a run": 3,
+    "forged files beside the shards": 2,
+    "archives of submissions": 2,
+    "another's answers": 0,
+    "meshes": 6,
+    "robots": 8,
+    "rigs": 8,
+    "weights": 7,
+    "what a method leaves behind": 5,
+    "what a method patches": 1,
+    "how a method ends": 5,
+    "what a method says of itself": 4,
+    "methods that see": 1,
+    "release policies": 0,
+    "seeds of an environment": 2,
+    "numbers of a run.json": 30,
+    "words on the command line": 50,
+    "tables of a real robot": 23,
 }
 """Attacks of a kind that judge, or build what is judged: so many of them without --all, and those that found a hole."""
 MOVED = "place 1 on a board, as nobody's answers"
@@ -141,6 +149,8 @@ def with_section(data: Mapping[str, Any]) -> str:
 def shared(words: Sequence[str], whole: bool) -> dict[str, dict[str, dict[str, Any]]]:
     """Attacks by several processes: kind -> what -> how it ended."""
     warm()
+    for make in (_attack.small_run, _attack.solved_run, _attack.ranked, _strange_answers.solutions):
+        make()  # once, before the first fork
     chosen = [*each_of(words, whole)]
     with tempfile.TemporaryDirectory() as folder:
         parts = [Path(folder) / f"{k}.json" for k in range(WORKERS)]
