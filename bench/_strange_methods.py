@@ -1,5 +1,6 @@
 """Methods, policies and seeds of strangers: code that is asked for answers, and may not change anybody's verdict."""
 
+import importlib
 import os
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -350,8 +351,10 @@ def env(seed: Any) -> Callable[[], object]:
     def call() -> None:
         import gymnasium
 
-        import r2h_batch  # noqa: F401
+        import r2h_batch
         from r2h_batch.base.errors import UserError
+
+        importlib.reload(r2h_batch)  # it registers the environment where gymnasium is imported before it
 
         envs = gymnasium.make_vec(
             "r2h_batch/Handover-v1", num_envs=2, method="random", motion="moves", benchmark="r2h-v1"

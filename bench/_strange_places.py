@@ -382,7 +382,6 @@ WORDS: dict[str, Attack] = {
             "a.b.c.d=1",
             "=",
             "plan.range_rad",
-            "shard_trials=0",
             "chunk=-5",
             "chunk=10000000000000",
         )

@@ -96,6 +96,7 @@ FELL = {
     ("methods that see", "it writes 16 MiB into every pipe"): TRACE,
     ("how a method ends", "its error cannot be printed"): TRACE,
     ("what a method patches", "every Evaluator that gc finds"): TRACE,
+    ("what a method says of itself", "it learned from a tag"): "a tag in table.md",
     ("rigs", "10,000 tables deep"): TRACE,
     ("rigs", "10,000 dotted keys"): TRACE,
     ("words on the command line", "--turn: \u0661,\u0662,\u0663"): "read as 1, 2 and 3 degrees",

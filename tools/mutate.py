@@ -570,6 +570,13 @@ MUTATIONS = (
         ("tests/sweep/test_turn.py::test_an_invalid_turn_is_refused_before_anything_is_scored",),
     ),
     Mutation(
+        "tables: what a method says of itself is markup",
+        "r2h_batch/report/table.py",
+        "plain(n) if n in table.trained else n",
+        "n",
+        ("tests/report/test_report.py::test_what_a_method_says_that_it_learned_from_is_text_in_markdown",),
+    ),
+    Mutation(
         "hidden trials: the seed is no part of the promise",
         "r2h_batch/protocols/hidden.py",
         "hidden trials\\n{benchmark.seed}\\n{published}",

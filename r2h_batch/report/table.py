@@ -554,7 +554,10 @@ def _md(table: Table) -> str:
     if table.funnels:
         lines = [[plain(short[f.method]), plain(f.release), *f.cells] for f in table.funnels]
         parts += [TRANSFERS, aligned(["Method", "release", *FUNNEL], lines, 2)]
-    parts.append(notes_list([*map(plain, legend(short)), *table.notes]))
+    notes = (
+        plain(n) if n in table.trained else n for n in table.notes
+    )  # a method's own words are a stranger's
+    parts.append(notes_list([*map(plain, legend(short)), *notes]))
     return "\n\n".join(parts) + "\n"
 
 

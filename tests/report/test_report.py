@@ -214,3 +214,10 @@ def test_a_run_that_is_none_of_scans_is_refused_as_their_column(tmp_path, capsys
     assert command("report", tmp_path / "run", scans=tmp_path / "scans") == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
+
+
+def test_what_a_method_says_that_it_learned_from_is_text_in_markdown(paper):
+    words = "mine: says that it was trained on <img src=x onerror=alert(1)> [x](javascript:alert(1)) | a."
+    text = report.render(replace(paper, trained=(words,)), "md")
+    assert "\\<img" in text and "\\[x](javascript" in text and "\\| a." in text
+    assert all(note in " ".join(text.split()) for note in (" ".join(n.split()) for n in paper.notes))
