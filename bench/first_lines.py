@@ -193,7 +193,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
             new = out / turn
             new.mkdir(parents=True, exist_ok=True)
             if options.only:  # what the command wrote before, so that it does all of it again
-                for word in _words(name, "{new}", "{new}"):
+                for word in _words(name, "{new}", ""):
                     if word.startswith("{new}/") and name != "leaderboard":
                         _remove(new / word.removeprefix("{new}/"))
             line = [sys.executable, "-m", "r2h_batch", *_words(name, str(new), str(out / ROUNDS[0]))]

@@ -296,7 +296,7 @@ class MovingHands:
             seeds: (B,) of the draws; None: the motion's for all.
 
         Raises:
-            ValueError: hands that reach need a receiver's arm (r2h-v1); an imported motion must be that
+            ValueError: hands that reach need a receiver's arm (as in r2h-v2); an imported motion must be that
                 of the scene's hands.
         """
         if trials.receiver is None and motion.kind in ("reaches", "hesitates", "takes"):

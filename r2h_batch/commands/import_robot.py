@@ -8,6 +8,7 @@ import tyro
 
 from r2h_batch.base.command_line import Command, check_range
 from r2h_batch.base.errors import UsageError
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.commands.import_files import COMMANDS as FILES
 
@@ -97,7 +98,8 @@ def robot(
         offset=_pose("--offset", offset), pads=_window(pads, fingers), turn=yes,
         folders=() if found_in is None else (found_in.folder,),
     )  # fmt: skip
-    count = missed(found.robot)
+    with progress(f"{found.robot.name}: misses of its inverse kinematics", 1, "count"):
+        count = missed(found.robot)
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
     report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
     if file.suffix.lower() == ".xml":

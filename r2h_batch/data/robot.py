@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
 from r2h_batch.config import Workplace
 from r2h_batch.data.robot_bodies import bodies_of
@@ -254,7 +255,8 @@ def import_robot(
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
     robot = replace(bare, arm=arm, dynamics=dynamics, home_q=first_q)
-    pairs = checked_pairs(robot, POSTURES)
+    with progress(f"{name}: pairs of links that can meet", 1, "search"):
+        pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
     if not start:

@@ -185,13 +185,19 @@ def turn_of(robot: Robot, chain: Chain, *, any_way: bool = False) -> str:
     if length > LEAST_M:
         away = [axis_z * (-1.0 if way[2] < 0 else 1.0), way / length]
 
-    def along(turn: str) -> float:
+    def along(turn: str, ways: Sequence[Array] = away) -> float:
         axis, sign = TURNS[turn]
-        return max(float(sign * T[:3, axis] @ one) for one in away)
+        return max(float(sign * T[:3, axis] @ one) for one in ways)
 
     if along(NO_TURN) > ACROSS and not any_way:
         return ""
-    for turn in sorted(TURNS.keys() - {NO_TURN}, key=lambda turn: (-along(turn), turn)):
+    # where both are proposed alike, the place: a wrist may end in a joint across it
+    order = {
+        turn: (-round(along(turn), 2), -along(turn, away[-1:]), turn)
+        for turn in TURNS
+        if turn != NO_TURN
+    }
+    for turn in sorted(order, key=lambda turn: order[turn]):
         if along(turn) <= ACROSS:
             continue
         one = replace(

@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.judge.goal import failed_clearance
@@ -124,9 +125,11 @@ def picked(
     check_indices(scene, trials)
     with one_torch_thread(torch.device(scene.device)):
         parts = []
-        for i in range(0, max(len(trials), 1), ROWS):
-            grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
-            parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged())
+        with progress("picked", len(trials), "trials") as told:
+            for i in range(0, max(len(trials), 1), ROWS):
+                grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
+                parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged())
+                told(len(grasp))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
 

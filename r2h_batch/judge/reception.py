@@ -127,7 +127,7 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
     """Whether each receiver can take the object that was handed over.
 
     Args:
-        scores: what `Evaluator.score` returned for trials with a receiver's arm and torso (r2h-v1).
+        scores: what `Evaluator.score` returned for trials with a receiver's arm and torso (as r2h-v2 has).
         leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
 
     Raises:

@@ -2,7 +2,7 @@
 
 import math
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import torch
 from torch import Tensor, nn
 
 from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.base.validate import integer, sequence_of
@@ -130,6 +131,14 @@ class Lessons:
         return found.flatten(0, 1), self.truth[rows].flatten(0, 1)
 
 
+def _counted(
+    items: Iterable[Mapping[str, Tensor]], told: Callable[[int], None]
+) -> Iterator[Mapping[str, Tensor]]:
+    for item in items:
+        yield item
+        told(1)
+
+
 class Training:
     """A network and its optimiser on the way through a recipe; the same bits whether it was interrupted or not."""
 
@@ -201,16 +210,17 @@ class Training:
         if path.exists() and self.step >= (done if number else 1):
             found = Lessons(**torch.load(path, weights_only=True))
         else:
-            items: Iterable[Mapping[str, Tensor]]
-            if number == 0:
-                items = (self.pairs.item(i) for i in range(recipe.items))
-                found = Lessons.of(items, POSES)
-            else:
-                first = recipe.items + (number - 1) * recipe.mined_items
-                mined = mine(
-                    self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=first, items=recipe.mined_items
-                )  # fmt: skip
-                found = Lessons.of(mined, 1)
+            many = recipe.mined_items if number else recipe.items
+            with progress("labels", many, "items") as told:
+                if number == 0:
+                    items = (self.pairs.item(i) for i in range(many))
+                    found = Lessons.of(_counted(items, told), POSES)
+                else:
+                    first = recipe.items + (number - 1) * many
+                    mined = mine(
+                        self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=first, items=many
+                    )  # fmt: skip
+                    found = Lessons.of(_counted(mined, told), 1)
             with atomic_path(path) as temporary:
                 torch.save(vars(found), temporary)
             if number == 0:

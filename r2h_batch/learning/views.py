@@ -13,6 +13,7 @@ from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.base.errors import UsageError
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path, write_text
 from r2h_batch.base.package import VERSION
 from r2h_batch.learning.pairs import Pairs
@@ -88,7 +89,7 @@ def write_views(
         if file.exists():
             tell(f"{file.name}: there already")
             continue
-        with atomic_path(file) as temporary:
+        with atomic_path(file) as temporary, progress(file.name, 1, "shard"):
             _write(temporary, dict(_arrays(pairs, sees, index)))
         tell(
             f"{file.name}: {pairs.trials} trials, {file.stat().st_size / pairs.trials / 1e3:.0f} kB each"

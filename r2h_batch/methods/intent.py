@@ -125,7 +125,7 @@ def predict(
         orientation: what is turned (`Orientation`).
         gate: what a pose must pass (`IntentGate`).
         at: what stands above the palm; `ergonomic`: the object goes where the receiver's shoulders
-            and arm suggest (r2h-v1).
+            and arm suggest (receivers with a body).
         select: which rules choose the grasp (`Select`).
 
     Returns:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 
 from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
 from r2h_batch.plugins import PluginError
@@ -124,4 +125,9 @@ def _drawn(
 
     jobs = [(family, i) for family in families for i in range(count)]
     series = FIRST_SERIES + seed
-    return tuple(kept_instance(family, series, i, standing=standing) for family, i in jobs)
+    found = []
+    with progress("instances (kept on disk)", len(jobs), "objects") as told:
+        for family, i in jobs:
+            found.append(kept_instance(family, series, i, standing=standing))
+            told(1)
+    return tuple(found)

@@ -633,7 +633,9 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
         lines = groups.setdefault(row.split, [heading])
         values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
         name = tex(short[row.method] + table.mark(row)) + (f" ({row.n})" if len(n) > 1 else "")
-        values += [f"{s.percent:.1f}" if (s := row.shares.get(k)) else NA for k in table.shares]
+        values += [
+            tex_cell(f"{s.percent:.1f}" if (s := row.shares.get(k)) else NA) for k in table.shares
+        ]
         lines.append(" & ".join([name, *values]) + r" \\")
         if intervals:
             ends = (

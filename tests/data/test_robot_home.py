@@ -105,6 +105,19 @@ def test_the_tool0_of_a_ur_points_away_although_the_last_link_lies_behind_it(arm
     assert turn_of(inwards, away) == "0,0,0,3.1416,0,0"
 
 
+def test_a_wrist_that_ends_in_a_joint_across_it_is_turned_along_the_hand():
+    """The axis of such a joint points across; both directions fit the axes of the link, and the arm has a posture for both."""
+    robot = load_robot("ur5e_2f85")
+    chain = read_chain(read_model(arm_urdf("ur5e")), "base_link", "tool0")
+    T = np.eye(4)
+    T[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # y along the joint's axis, z across it
+    T[:3, 3] = 0, 0.1, 0
+    across = replace(chain, T_last_flange=T)
+    assert abs(T[2, 1]) == 1 and abs(T[:3, 2] @ [0, 1, 0]) == 1
+    out = replace(robot, T_wrist3_flange=frozen(T), digest="a hand across the last joint")
+    assert turn_of(out, across) == "0,0,0,3.1416,0,0"
+
+
 def test_offsets_turn_z_as_their_table_says():
     for offset, (axis, sign) in robot_home.TURNS.items():
         R = robot_home.turned(offset)[:3, :3]

@@ -72,6 +72,13 @@ def test_a_comment_ends_no_comment(paper):
     assert all(line.startswith("% ") for line in first.splitlines())
 
 
+def test_a_share_that_no_row_has_stands_in_braces_as_any_other_cell_that_is_no_number(paper):
+    first, *others = paper.rows
+    bare = replace(paper, rows=(replace(first, shares={}), *others))
+    line = next(x for x in report.render(bare, "latex").splitlines() if x.startswith("FC-Handover &"))
+    assert line.endswith(r"& {n/a} \\") and list(paper.shares) == ["presented"]
+
+
 @needs("latex")
 def test_all_tables_compile_and_fit_their_columns(paper_rows, paper, tmp_path):
     name = r"50%_a|b & {c} \d^~<#$>"

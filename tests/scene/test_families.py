@@ -2,25 +2,26 @@
 
 import json
 import re
+import sys
 from dataclasses import replace
 from importlib import resources
 
 import numpy as np
 import pytest
 import trimesh
-from manifold3d import Manifold
+from manifold3d import Manifold, Mesh
 from rounds import each
 from scipy.spatial import ConvexHull
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, UserError
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
 from r2h_batch.scene.families import kept
 from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to, model_of
-from r2h_batch.scene.families.family import FAMILIES, Draw
+from r2h_batch.scene.families.family import FAMILIES, Draw, Shape, family
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
-from r2h_batch.scene.families.shapes import Parts
+from r2h_batch.scene.families.shapes import Parts, box
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
 from r2h_batch.trials.holding.receiving import load_receiving
 
@@ -238,3 +239,117 @@ def test_the_command_lines_word_standing_moves_the_centre_of_mass_of_bottles_alo
         (smeared,), (standing,) = (family_objects(f"families:{category} x 1 seed 3{w}") for w in ("", " standing"))
         assert (np.abs(smeared.com - standing.com).max() > 0.005) == moved
         assert standing.mass == pytest.approx(smeared.mass, rel=2e-3)
+
+
+DEFAULTS = {"split": "S0", "parts": ("body",), "rests": ("upright",), "listed": False}
+
+
+def family_of(make, category="vase", **given):
+    return family(category, **{**DEFAULTS, **given})(make)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (
+            {"rests": ("uprigt",)},
+            "family vase: rests has 'uprigt', did you mean upright?; the words are upright, over, left,",
+        ),
+        ({"rests": ()}, "family vase: rests has ''; the words are upright"),
+        ({"rests": "upright"}, "family vase: rests is 'upright'; it must be a tuple of words, as rests=(\"upright\",)"),
+        ({"parts": ["body"]}, "family vase: parts is ['body']; it must be a tuple of words"),
+        ({"split": "S1", "receiver": ("foot",)}, "family vase: no part 'foot'; parts are body"),
+        ({"split": "S1"}, "family vase: split is 'S1' with receiver ()"),
+        ({"category": "Vase"}, "family 'Vase': a category is small letters"),
+    ],
+)
+def test_wrong_words_of_a_family_are_one_line(given, said):
+    with pytest.raises(UserError, match=re.escape(said)) as caught:
+        family_of(lambda draw, part: None, **given)
+    assert "\n" not in str(caught.value)
+
+
+BODY, BESIDE = (box(60, 40, 100, at=(dx, dy, 0)) for dx, dy in ((0, 0), (60, 40)))
+DENSE = {"body": 1000.0}
+CUBE = Mesh(
+    np.array([[x, y, z] for x in (0, 50) for y in (0, 50) for z in (0, 50)], np.float32),
+    np.array([[0, 1, 2], [1, 3, 2], [4, 6, 5]], np.uint32),
+)
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (
+            lambda d, p: Shape(p("body", BODY.scale((1e-3,) * 3)), DENSE),
+            "side of its solid is 0.1 mm; sizes are millimetres",
+        ),
+        (
+            lambda d, p: Shape(p("body", BODY.scale((30.0,) * 3)), DENSE),
+            "side of its solid is 3e+03 mm; sizes are millim",
+        ),
+        (lambda d, p: Shape(p("body", BODY), {}), "Shape.density has no part 'body'; parts with a solid are body"),
+        (
+            lambda d, p: Shape(p("body", BODY), {"body": -1.0}),
+            "Shape.density of body is -1.0; more than 0 and at most 25000",
+        ),
+        (lambda d, p: Shape(p("body", BODY), {"body": np.nan}), "Shape.density of body is nan; more than 0"),
+        (lambda d, p: Shape(p("body", BODY), {"body": "heavy"}), "Shape.density of body is heavy; more than 0"),
+        (lambda d, p: Shape(p("body", BODY), 1000.0), "Shape.density is float 1000.0; it must be a dict"),
+        (lambda d, p: Shape(p("bdy", BODY), {"bdy": 1.0}), "its generator names a part 'bdy'; parts are body"),
+        (
+            lambda d, p: Shape(p.divided("body", BODY, ("top", (0, 0, 1), 9)), DENSE),
+            "names a part 'top'; parts are body",
+        ),
+        (lambda d, p: Shape(p("body", BODY) + BESIDE, DENSE), "some of its surface belongs to no part"),
+        (
+            lambda d, p: Shape(p("body", BODY), DENSE, ("bdy", 0.4)),
+            "filling names a part 'bdy'; parts with a solid are body",
+        ),
+        (
+            lambda d, p: Shape(p("body", BODY), DENSE, ("body", 40)),
+            "filling has a share of 40; more than 0 and at most 1",
+        ),
+        (lambda d, p: Shape(p("body", BODY), DENSE, 0.4), "filling is float 0.4; it must be (part, share)"),
+        (lambda d, p: Shape(p("body", BODY) - BODY, DENSE), "nothing is left of its solid"),
+        (
+            lambda d, p: Shape(p("body", Manifold(CUBE)), DENSE),
+            "its solid is no closed surface (manifold3d: NotManifold)",
+        ),
+        (lambda d, p: Shape(BODY.to_mesh(), DENSE), "it must be a manifold3d.Manifold"),
+        (lambda d, p: p("body", BODY), "it must be Shape(solid, density)"),
+        (lambda d, p: {}["h"], "its generator: KeyError: 'h' ("),
+        (lambda d, p: sys.exit(0), "its generator: SystemExit: 0 ("),
+        (lambda d, p: [d(str(k), 0, 1) for k in range(80)], "takes more than 64 numbers; draw fewer"),
+        (
+            lambda d, p: Shape(p("body", BODY + BESIDE), DENSE),
+            "its mesh is not watertight: parts that touch along an edge",
+        ),
+        (
+            lambda d, p: Shape(p("body", BODY + BESIDE.translate((9, 0, 0))), DENSE),
+            "its mesh is 2 bodies that do not touch",
+        ),
+    ],
+)
+def test_what_a_generator_answers_wrongly_is_one_line_that_names_the_family(make, said):
+    with pytest.raises(UserError, match=re.escape(said)) as caught:
+        kept.kept_instance(family_of(make), FIRST_SERIES, 2)
+    text = str(caught.value)
+    assert text.startswith("family vase, instance ") and "\n" not in text
+    assert "vase_s1000_02" in text or "instance 2 of series 1000" in text
+
+
+def test_a_region_of_none_or_all_of_the_surface_names_the_family():
+    asked = {"split": "S1", "parts": ("body", "foot"), "receiver": ("foot",)}
+    for part, share in each([("body", "nothing"), ("foot", "all")]):
+        made = family_of(lambda d, p, part=part: Shape(p(part, BODY), {part: 900.0}), **asked)
+        with pytest.raises(
+            UserError, match=f"family vase, instance vase_s1000_00: {share} of its surface is of the receiver's"
+        ):
+            kept.kept_instance(made, FIRST_SERIES, 0)
+
+
+def test_parts_that_overlap_are_one_closed_body():
+    solid = BODY + BESIDE.translate((-9, -9, 0))
+    found = kept.kept_instance(family_of(lambda d, p: Shape(p("body", solid), DENSE)), FIRST_SERIES, 0)
+    assert found.mesh.is_watertight and found.mass == pytest.approx(1e-6 * solid.volume(), rel=1e-3)

@@ -14,6 +14,8 @@ FIRST_S = 4.0
 """Work that takes longer gets its first line about then."""
 EVERY_S = 15.0
 """Between further lines."""
+_bars: list[str] = []
+"""Names of the bars that are on the terminal, one at a time: what is done inside of it has lines."""
 
 
 @contextlib.contextmanager
@@ -32,6 +34,7 @@ def progress(
     start, done = time.perf_counter(), 0
     if (
         total > 1
+        and not _bars
         and sys.stderr.isatty()
         and not is_quiet()
         and os.environ.get("TERM", "dumb") != "dumb"
@@ -43,7 +46,11 @@ def progress(
         columns = (rich.TextColumn("{task.description}"), *(kind() for kind in kinds))
         with rich.Progress(*columns, console=Console(stderr=True), transient=True) as bar:
             task = bar.add_task(name, total=total)
-            yield lambda n: bar.advance(task, n)
+            _bars.append(name)
+            try:
+                yield lambda n: bar.advance(task, n)
+            finally:
+                _bars.remove(name)
         return
 
     ended = threading.Event()

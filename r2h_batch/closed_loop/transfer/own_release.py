@@ -38,7 +38,7 @@ def release_of(spec: str) -> tuple[Any, str]:
 
 
 def maker_of(spec: str) -> Callable[[RobotSide], Policy]:
-    """What makes such a policy for each batch of transfers. Answers of a user's class are checked.
+    """The maker of such a policy, called once for each batch of transfers. Answers of a user's class are checked.
 
     Args:
         spec: as `release_of` takes it.

@@ -63,14 +63,19 @@ def compare(
     check_few(categories)
     stored = load_runs(runs, method)
     common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
-    paired = statistics.pair_up(stored, common)
+    some_stored = [is_stored(run) for run in stored]
+    one = sum(some_stored) == 1  # two of them would have one name
+    folders = [
+        BASELINES if here and one else run.folder.absolute().name
+        for run, here in zip(stored, some_stored, strict=True)
+    ]
+    paired = statistics.pair_up(stored, common, folders)
     shipped = [is_stored(stored[k]) for k in paired.runs]
     not_shipped = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
     some = any(shipped) and not all_pairs
     mine = not_shipped if some else ()
     comparisons = statistics.compare(paired, mine=mine, seed=seed, few=categories)
     header = stored[0].header
-    folders = (BASELINES if is_stored(r) else r.folder.name for r in stored)
     origin = {
         "runs": ", ".join(folders),
         "protocol": str(header["protocol"]),

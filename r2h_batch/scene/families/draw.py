@@ -12,7 +12,16 @@ from manifold3d import Manifold
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.scene.families.family import FAMILIES, WATER, Draw, Family, Shape
+from r2h_batch.scene.families.answer import check_surface, shape_of
+from r2h_batch.scene.families.family import (
+    FAMILIES,
+    TURNS,
+    WATER,
+    Draw,
+    Family,
+    FamilyError,
+    Shape,
+)
 from r2h_batch.scene.families.remesh import Surface, heights, imprint, without_slivers
 from r2h_batch.scene.families.shapes import Parts
 from r2h_batch.scene.objects import ObjectModel, build_object
@@ -67,10 +76,15 @@ def draw_instance(
         index: 0, 1, 2, ...
         standing: fillings stand at the bottom of the upright vessel. False: they are smeared over it, as in the shipped
             instances, so that a vessel that is 30 % full has its centre of mass at half its height.
+
+    Raises:
+        FamilyError: one line that names the family: what its generator answers wrongly.
     """
     family = FAMILIES[family] if isinstance(family, str) else family
     draw, parts = Draw(family.category, series, index), Parts()
-    shape = family.make(draw, parts)
+    tag = {SHIPPED: "", TRAINING: "t"}.get(series, f"s{series}_")
+    name = f"{family.category}_{tag}{index:02d}"
+    shape = shape_of(family, name, draw, parts)
     solid = shape.solid.simplify(SMOOTH_MM).refine_to_length(EDGE_MM)
     found = solid.to_mesh64()
     vertices = np.asarray(found.vert_properties)[:, :3]
@@ -81,13 +95,12 @@ def draw_instance(
         label[bounds[k] : bounds[k + 1]] = family.parts.index(parts.names[int(original)])
     vertices, faces, label = _divided(vertices, faces, label, family, parts)
     mass, com, inertia = _inertial(_weighed(parts, shape, standing), float(solid.volume()))
-    rest, R = _resting(family, vertices, faces, com, draw)
+    rest, R = _resting(family, name, vertices, com, draw)
     turned = vertices @ R.T
     middle = (turned.min(0) + turned.max(0)) / 2
     placed, faces, label = _without_slivers((turned - middle) / 1000, faces, label)
-    tag = {SHIPPED: "", TRAINING: "t"}.get(series, f"s{series}_")
     return Instance(
-        f"{family.category}_{tag}{index:02d}", family, placed, faces, label,
+        name, family, placed, faces, label,
         round(1e-9 * mass, 4), (R @ com - middle) / 1000, 1e-15 * (R @ inertia @ R.T), rest, draw.parameters,
     )  # fmt: skip
 
@@ -171,27 +184,24 @@ def _inertial(weighed: Sequence[Weighed], volume: float) -> tuple[float, Vec, Ve
     return mass * share, com, inertia * share
 
 
-TURNS = {
-    "upright": (), "over": (("x", 180.0),), "left": (("x", 90.0),), "right": (("x", -90.0),), "face": (("y", 90.0),),
-    "back": (("y", -90.0),), "side": (("z", None), ("x", 90.0)), "roll": (("x", None),),
-}  # fmt: skip
-"""How a thing lies, as turns about fixed axes; None: any angle."""
-
-
-def _resting(
-    family: Family, vertices: Vec, faces: NDArray[np.int32], com: Vec, draw: Draw
-) -> tuple[str, Vec]:
+def _resting(family: Family, name: str, vertices: Vec, com: Vec, draw: Draw) -> tuple[str, Vec]:
     """How the instance lies, and its turn: the drawn way, brought to the nearest stable one, at any yaw."""
     word, R = draw.choice("rest", family.rests), np.eye(3)
     for axis, angle in TURNS[word]:
         turn = draw("roll", 0, 360) if angle is None else angle
         R = Rotation.from_euler(axis, turn, degrees=True).as_matrix() @ R
-    R = _settled(trimesh.convex.convex_hull(vertices), com, R)
+    settled = _settled(trimesh.convex.convex_hull(vertices), com, R)
+    if settled is None:
+        raise FamilyError(
+            f"family {family.category}, instance {name}: its centre of mass lies outside of its hull, so it rests on no side;"
+            " does the solid intersect itself?"
+        )
+    R = settled
     return word, Rotation.from_euler("z", draw("yaw", 0, 360), degrees=True).as_matrix() @ R
 
 
-def _settled(hull: trimesh.Trimesh, com: Vec, R: Vec) -> Vec:
-    """The least further turn that sets the hull on a face over which the centre of mass stands."""
+def _settled(hull: trimesh.Trimesh, com: Vec, R: Vec) -> Vec | None:
+    """The least further turn that sets the hull on a face over which the centre of mass stands; None: there is no such face."""
     corner = hull.triangles
     foot = (
         com
@@ -200,6 +210,8 @@ def _settled(hull: trimesh.Trimesh, com: Vec, R: Vec) -> Vec:
     weight = trimesh.triangles.points_to_barycentric(corner, foot)
     down = hull.face_normals @ R.T
     stable = np.flatnonzero((weight > -1e-9).all(1))
+    if not len(stable):
+        return None
     best = stable[np.argmin(down[stable, 2])]
     turn, _ = Rotation.align_vectors(np.array([[0.0, 0.0, -1.0]]), down[best : best + 1])
     return np.asarray(turn.as_matrix() @ R)
@@ -209,10 +221,16 @@ def model_of(instance: Instance) -> ObjectModel:
     """The object that an evaluator judges, with its category's words and roles."""
     family = instance.family
     region = np.isin(instance.face_part, [family.parts.index(p) for p in family.receiver])
+    if family.split == "S1" and not 0 < region.sum() < len(region):
+        raise FamilyError(
+            f"family {family.category}, instance {instance.name}: {'all' if region.any() else 'nothing'} of its surface is of"
+            f" the receiver's parts, {', '.join(family.receiver)}; the robot needs a part to hold, and the receiver one to take"
+        )
     built = build_object(
         instance.mesh, instance.name, family.split, receiver=region if family.split == "S1" else None,
         mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
     )  # fmt: skip
+    check_surface(family, instance.name, built.mesh)
     return replace(
         built,
         com=instance.com,

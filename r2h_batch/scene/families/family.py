@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from r2h_batch.base import rng
+from r2h_batch.base.errors import UserError, nearest
 from r2h_batch.plugins import Registry
 from r2h_batch.scene.objects import OBJECT_NAMES
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
@@ -43,25 +44,42 @@ STEEL, ALUMINIUM, GLASS, CERAMIC, PLASTIC, RUBBER, WOOD, WATER = (
 """Densities, kg/m^3."""
 
 
+TURNS = {
+    "upright": (), "over": (("x", 180.0),), "left": (("x", 90.0),), "right": (("x", -90.0),), "face": (("y", 90.0),),
+    "back": (("y", -90.0),), "side": (("z", None), ("x", 90.0)), "roll": (("x", None),),
+}  # fmt: skip
+"""How a thing lies, as turns about fixed axes; None: any angle."""
+
+
+class FamilyError(UserError):
+    """A family or its generator that makes no object: names the family, what was found and what is allowed, in one line."""
+
+
 class Draw:
     """The numbers of one instance, in a fixed order: `draw("length", 240, 360)`."""
 
     def __init__(self, category: str, series: int, index: int) -> None:
+        self._of = f"family {category}, instance {index} of series {series}"
         key = rng.key_of(f"r2h families {category} {series}")
         self._left = rng.uniforms(key, np.array([index]), NUMBERS, purpose=0)[:, 0].tolist()
         self.parameters: dict[str, float | str] = {}
 
     def __call__(self, name: str, low: float, high: float) -> float:
         """A number between low and high, to a micrometre, kept under its name."""
-        value = round(low + (high - low) * self._left.pop(0), 3)
+        value = round(low + (high - low) * self._next(), 3)
         self.parameters[name] = value
         return value
 
     def choice(self, name: str, words: Sequence[str]) -> str:
         """One of the words; a word that stands twice is twice as likely."""
-        word = words[int(self._left.pop(0) * len(words))]
+        word = words[int(self._next() * len(words))]
         self.parameters[name] = word
         return word
+
+    def _next(self) -> float:
+        if not self._left:
+            raise FamilyError(f"{self._of}: takes more than {NUMBERS} numbers; draw fewer")
+        return self._left.pop(0)
 
 
 @dataclass(frozen=True)
@@ -84,7 +102,7 @@ class Family:
     parts: tuple[str, ...]
     make: Callable[[Draw, Parts], Shape]
     rests: tuple[str, ...]
-    """how such a thing lies: words of `draw.TURNS`; a word that stands twice is twice as likely"""
+    """how such a thing lies: words of `TURNS`; a word that stands twice is twice as likely"""
     receiver: tuple[str, ...] = ()
     """parts that the receiver takes, in S1"""
     take: str = ""
@@ -141,16 +159,30 @@ def family(
         listed: False: lists and `families:*` leave it out. `families:package.module:NAME` draws it.
 
     Raises:
-        ValueError: one line: the name, the split and its region, or a part that is not there.
+        FamilyError: one line: the name, the split and its region, a way to lie or a part that is not there.
     """
     if not FORM.fullmatch(category):
-        raise ValueError(f"family {category!r}: a category is small letters, and _ between them")
+        raise FamilyError(f"family {category!r}: a category is small letters, and _ between them")
+    for field, value in (("parts", parts), ("rests", rests), ("receiver", receiver)):
+        if not isinstance(value, tuple) or not all(isinstance(word, str) for word in value):
+            raise FamilyError(
+                f'family {category}: {field} is {value!r}; it must be a tuple of words, as {field}=("{value}",) of one word'
+                if isinstance(value, str)
+                else f"family {category}: {field} is {value!r:.100}; it must be a tuple of words"
+            )
     if split not in SPLITS or (split == "S1") != bool(receiver):
-        raise ValueError(
+        raise FamilyError(
             f"family {category}: split is {split!r} with receiver {receiver}; S0 has no receiver's parts, S1 has some"
         )
     if unknown := [p for p in (*receiver, *(roles or {})) if p not in parts]:
-        raise ValueError(f"family {category}: no part {unknown[0]!r}; parts are {', '.join(parts)}")
+        raise FamilyError(
+            f"family {category}: no part {unknown[0]!r}; parts are {', '.join(parts)}"
+        )
+    if unknown := [w for w in rests if w not in TURNS] or ([] if rests else [""]):
+        hint, known = nearest(str(unknown[0]), list(TURNS)), ", ".join(TURNS)
+        raise FamilyError(
+            f"family {category}: rests has {unknown[0]!r}{hint}; the words are {known}"
+        )
     if (words := words or THINGS.get(category)) is None:
         labels = {part.replace("_", " "): (part,) for part in receiver or parts}
         words = Thing((category.replace("_", " "),), labels, {"use": next(iter(labels))})

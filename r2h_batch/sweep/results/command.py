@@ -186,7 +186,8 @@ def reception(
 
     The command tries 256 receiving grasps for each stored pose; no predictor knows these grasps. The
     person's arm must bring the hand to a grasp, past the gripper and clear of the robot. The success
-    rate does not depend on it. Trials need a receiver's body (r2h-v1).
+    rate does not depend on it. Receivers need a body: those of r2h-v2, the default, and of r2h-v1 have one; `--receiver hand`
+    takes it away.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -337,8 +338,9 @@ def transfer(
     """Simulate the transfer after each handover: a person takes the object, and a policy lets go.
 
     The command simulates received rows (see reception) in MuJoCo, and writes RUN/transfer/METHOD.parquet. It keeps what
-    is stored there, and simulates what is missing. The success rate does not depend on it. Trials need a receiver's
-    body (r2h-v1). docs/transfer.md says what the figures mean and what they do not.
+    is stored there, and simulates what is missing. The success rate does not depend on it. Receivers need a body: those of
+    r2h-v2, the default, and of r2h-v1 have one; `--receiver hand` takes it away. docs/transfer.md says what the figures mean
+    and what they do not.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.

@@ -53,7 +53,7 @@ def trials(
     """Write the trials of a run with poses, receivers and measures as CSV, to show them to people.
 
     Args:
-        run: a run folder with poses; its trials need a receiver's body (r2h-v1).
+        run: a run folder with poses; its trials need a receiver's body (as of r2h-v2).
         out: the file to write, a line for each trial and method.
         method: only these methods, by the sweep's word (fc) or the table's name.
         overwrite: replace a file that is there.

@@ -90,7 +90,7 @@ def measured_trials(run: Run, method: str, judge: Judge) -> pa.Table:
     """Each stored trial of a method with its poses, its receiver and `MEASURES`; null: not defined.
 
     Args:
-        run: with poses; trials with a receiver's body (r2h-v1).
+        run: with poses; trials with a receiver's body (as of r2h-v2).
         method: name in the run.
         judge: the evaluator of the run.
 

@@ -1,0 +1,563 @@
+"""Run folders, submissions and boards of strangers."""
+
+import hashlib
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from _attack import TAG, Attack, Command, Ended, Place, ranked, small
+from _strange_names import in_json
+
+REPORT = ["report", "run", "--format", "csv", "--out", "told.csv"]
+VERIFY = ["results", "verify", "run"]
+AGAIN = ["results", "reevaluate", "run", "--rows", "2"]
+HEADER: dict[str, tuple[str, Any]] = {
+    "-5 trials": ("trials", {"S0": -5, "S1": 3}),
+    "10^12 trials": ("trials", {"S0": 10**12, "S1": 10**12}),
+    "10^400 trials": ("trials", {"S0": 10**400, "S1": 3}),
+    "trials as truth values": ("trials", {"S0": True, "S1": True}),
+    "trials of a third split": ("trials", {"S0": 3, "S1": 3, "S2": 3}),
+    "trials of one split alone": ("trials", {"S0": 3}),
+    "trials as a word": ("trials", "three"),
+    "0 trials of a shard": ("shard_trials", 0),
+    "-1 trials of a shard": ("shard_trials", -1),
+    "half a trial of a shard": ("shard_trials", 0.5),
+    "10^30 trials of a shard": ("shard_trials", 10**30),
+    "a seed of 10^400": ("seed", 10**400),
+    "a format of the future": ("format", 5),
+    "a format as a word": ("format", "4"),
+    "a format of true": ("format", True),
+    "a protocol that is a path": ("protocol", "../../outside/secret.txt"),
+    "a protocol that is code": ("protocol", "os:system"),
+    "objects of no name": ("objects", [{"split": "S0"}]),
+    "a million objects": ("objects", [{"name": "x", "split": "S0", "built_in": True, "digest": "0"}] * 1_000_000),
+    "hands of 10^18": ("hands", [["right", 10**18]]),
+    "a hash of another run": ("hash", "0" * 64),
+    "a hash of one letter": ("hash", "a"),
+    "a hash that is a path": ("hash", "../../outside/secret.txt"),
+    "digests as numbers": (
+        "digests",
+        dict.fromkeys(("trials", "benchmark", "objects", "hand_set", "people", "code"), 1),
+    ),
+    "a configuration of nothing": ("configuration", {}),
+    "a configuration of NaN": ("configuration", {"thresholds": {"w_max_m": float("nan")}}),
+    "stored as a word": ("stored", "poses"),
+    "stored columns of no such name": ("stored", ["__class__", "../x"]),
+    "a robot that is a path": ("robot", {"name": "../../outside/folder", "digest": "0" * 64}),
+    "a motion of another engine": ("motion", {"engine": "os.system", "model": "x", "step_s": -1, "sample_s": 0}),
+    "a field that nobody knows": ("__class__", {"__init__": 1}),
+    "created before time": ("created", "-9999-99-99T99:99:99Z"),
+    "created in other digits": ("created", "\u0662\u0660\u0662\u0666-11-25T21:38:53Z"),
+    "versions as a list": ("versions", ["0.3.0"]),
+    "a version of the future": ("versions", {"r2h_batch": "999.0.0"}),
+    "a version that is none": ("versions", {"r2h_batch": "'; drop"}),
+    "a command of a million words": ("command", ["x"] * 1_000_000),
+}
+
+
+def header(key: str, value: Any, *commands: Command) -> Attack:
+    """A run whose run.json has another value in one field."""
+    return Attack(
+        in_json("run.json", lambda d: d.update({key: value}), *(commands or (VERIFY, ["ls", "runs"], REPORT)))
+    )
+
+
+def named_in(key: str) -> Attack:
+    """A run that names a file beside the folder in one field."""
+    return Attack(
+        in_json(
+            "run.json",
+            lambda d: (
+                d.setdefault("benchmark", {}).update({key: "../outside/secret.txt"})
+                if isinstance(d.get("benchmark"), dict)
+                else d.update({key: "../outside/secret.txt"})
+            ),
+            AGAIN,
+            REPORT,
+        )
+    )
+
+
+def shard_of(run: Path) -> Path:
+    """The only shard of a small run."""
+    (found,) = (run / "shards" / "random").glob("*.parquet")
+    return found
+
+
+def rewrite(run: Path, change: Callable[[Any], Any], number: str = "000000", **options: Any) -> Path:
+    """The run's shard with another table, under a name with its digest."""
+    import pyarrow.parquet as pq
+
+    old = shard_of(run)
+    table = pq.ParquetFile(old).read()
+    new = change(table)
+    if new.schema.metadata is None or b"r2h_batch" not in new.schema.metadata:
+        new = new.replace_schema_metadata(table.schema.metadata)
+    old.unlink()
+    part = old.with_name("part")
+    pq.write_table(new, part, **{"write_page_checksum": True, **options})
+    return part.rename(old.with_name(f"{number}-{hashlib.sha256(part.read_bytes()).hexdigest()[:16]}.parquet"))
+
+
+def forged(change: Callable[[Any], Any], *commands: Command, must: str = "either", **options: Any) -> Attack:
+    """A run with a forged shard, whose name has the right digest."""
+
+    def does(place: Place) -> list[Command]:
+        rewrite(small(place), change, **options)
+        return [*(commands or (VERIFY, [*REPORT[:2], "--by-object"], REPORT))]
+
+    return Attack(does, must, unclaimed)
+
+
+def unclaimed(place: Place, ended: Ended) -> str:
+    """No table of the forged rows says a success rate of 100."""
+    told = place.work / "told.csv"
+    return "a table of forged rows" if told.exists() and ",100.0" in told.read_text() else ""
+
+
+def column(name: str, values: Callable[[Any], Any]) -> Callable[[Any], Any]:
+    """Another column."""
+    return lambda t: t.set_column(t.column_names.index(name), name, [values(t)])
+
+
+def shards() -> dict[str, Attack]:
+    """Forged shards."""
+    import pyarrow as pa
+
+    def renamed(t: Any) -> Any:
+        return t.rename_columns([c.upper() for c in t.column_names])
+
+    def receipt(change: Callable[[dict[str, Any]], object]) -> Callable[[Any], Any]:
+        def apply(t: Any) -> Any:
+            own = json.loads(t.schema.metadata[b"r2h_batch"])
+            change(own)
+            return t.replace_schema_metadata({**t.schema.metadata, b"r2h_batch": json.dumps(own).encode()})
+
+        return apply
+
+    won = column("outcome", lambda t: pa.array(["success"] * len(t)))
+    return {
+        "every outcome a success": forged(won),
+        "an outcome that nobody knows": forged(column("outcome", lambda t: pa.array([TAG] * len(t)))),
+        "outcomes in another case": forged(column("outcome", lambda t: pa.array(["Success"] * len(t)))),
+        "outcomes of nothing": forged(column("outcome", lambda t: pa.array([None] * len(t), pa.string()))),
+        "objects of another name": forged(column("object", lambda t: pa.array([TAG] * len(t)))),
+        "objects that are formulas": forged(column("object", lambda t: pa.array(["=1+1"] * len(t)))),
+        "a third split": forged(column("split", lambda t: pa.array(["S2"] * len(t)))),
+        "a third side": forged(column("side", lambda t: pa.array(["\x1b[2Jmiddle"] * len(t)))),
+        "ids of 32 bits": forged(column("trial_id", lambda t: t["trial_id"].cast(pa.int32()))),
+        "ids as floats": forged(column("trial_id", lambda t: t["trial_id"].cast(pa.float64()))),
+        "ids of 2^63 - 1": forged(column("trial_id", lambda t: pa.array([2**63 - 1] * len(t)))),
+        "ids of nothing": forged(column("trial_id", lambda t: pa.array([None] * len(t), pa.int64()))),
+        "margins of NaN": forged(column("margin_reach_m", lambda t: pa.array([float("nan")] * len(t), pa.float32()))),
+        "margins of 1e38": forged(column("margin_reach_m", lambda t: pa.array([1e38] * len(t), pa.float32()))),
+        "margins of 8 bytes": forged(column("margin_reach_m", lambda t: t["margin_reach_m"].cast(pa.float64()))),
+        "times of -1 s": forged(column("t_exec_s", lambda t: pa.array([-1.0] * len(t), pa.float32()))),
+        "times of infinity": forged(column("t_plan_s", lambda t: pa.array([float("inf")] * len(t), pa.float32()))),
+        "kinds of margin that nobody knows": forged(column("margin_kind_reach", lambda t: pa.array([TAG] * len(t)))),
+        "words as categories": forged(column("outcome", lambda t: t["outcome"].combine_chunks().dictionary_encode())),
+        "large words": forged(column("outcome", lambda t: t["outcome"].cast(pa.large_string()))),
+        "words as bytes": forged(column("outcome", lambda t: t["outcome"].cast(pa.binary()))),
+        "columns in capitals": forged(renamed),
+        "columns in another order": forged(lambda t: t.select(t.column_names[::-1])),
+        "a column twice": forged(lambda t: t.append_column("outcome", [pa.array(["success"] * len(t))])),
+        "10,000 more columns": forged(
+            lambda t: pa.table(
+                {**{c: t[c] for c in t.column_names}, **{f"x{k}": pa.nulls(len(t)) for k in range(10_000)}}
+            )
+        ),
+        "a column 200 structs deep": forged(lambda t: t.append_column("x", [_deep(len(t))])),
+        "an index of pandas that is a program": forged(
+            lambda t: t.replace_schema_metadata(
+                {
+                    **t.schema.metadata,
+                    b"pandas": b'{"index_columns":["__import__(\'os\')"],"columns":[],"column_indexes":[]}',
+                }
+            )
+        ),
+        "a type that is a pickle": forged(
+            lambda t: t.append_column(
+                pa.field(
+                    "x",
+                    pa.int8(),
+                    metadata={
+                        b"ARROW:extension:name": b"arrow.py_extension_type",
+                        b"ARROW:extension:metadata": b"cos\nsystem\n(S'false'\ntR.",
+                    },
+                ),
+                pa.nulls(len(t), pa.int8()),
+            )
+        ),
+        "rows in another order": forged(lambda t: t.take(pa.array(range(len(t))[::-1]))),
+        "a row of another trial": forged(lambda t: pa.concat_tables([t.slice(1), t.slice(1, 1)])),
+        "one row in 1,000 groups": forged(lambda t: t, row_group_size=1),
+        "packed by brotli": forged(lambda t: t, compression="brotli"),
+        "packed by LZ4": forged(lambda t: t, compression="lz4"),
+        "64 MiB of nothing in its metadata": forged(
+            lambda t: t.replace_schema_metadata({**t.schema.metadata, b"x": bytes(64 << 20)})
+        ),
+        "a receipt of another method": forged(receipt(lambda r: r.update(method="oracle"))),
+        "a receipt of another range": forged(receipt(lambda r: r.update({k: [5, 9] for k in r if "range" in k}))),
+        "a receipt of nothing": forged(receipt(lambda r: r.clear())),
+        "a receipt of lists": forged(receipt(lambda r: r.update({k: [[]] for k in r}))),
+        "a receipt of other outcomes": forged(receipt(lambda r: r.update(outcomes={"success": 6}))),
+        "a receipt 100,000 deep": forged(
+            lambda t: t.replace_schema_metadata({**t.schema.metadata, b"r2h_batch": b"[" * 100_000})
+        ),
+    }
+
+
+def _deep(rows: int) -> Any:
+    import pyarrow as pa
+
+    deep = pa.nulls(rows, pa.int8())
+    for _ in range(200):
+        deep = pa.StructArray.from_arrays([deep], ["a"])
+    return deep
+
+
+def laid(change: Callable[[Place, Path], object], *commands: Command, must: str = "either") -> Attack:
+    """A run folder in which something else lies."""
+
+    def does(place: Place) -> list[Command]:
+        change(place, small(place))
+        return [*(commands or (VERIFY, REPORT))]
+
+    return Attack(does, must, unclaimed)
+
+
+def number(new: str) -> Attack:
+    """A copy of the shard under another number."""
+
+    def change(place: Place, run: Path) -> None:
+        old = shard_of(run)
+        shutil.copy(old, old.with_name(f"{new}{old.name[6:]}"))
+
+    return laid(change)
+
+
+SHARD_FILES: dict[str, Attack] = {
+    "a number out of range": number("000007"),
+    "a negative number": number("-00001"),
+    "a number of 30 digits": number("9" * 30),
+    "a number in other digits": number("\u0660\u0660\u0660\u0660\u0660\u0661"),
+    "a number of five digits": number("00000"),
+    "a digest in capitals": laid(
+        lambda p, r: (s := shard_of(r)).rename(s.with_name(s.name[:7] + s.name[7:23].upper() + ".parquet"))
+    ),
+    "no digest": laid(lambda p, r: (s := shard_of(r)).rename(s.with_name("000000.parquet"))),
+    "a shorter digest": laid(lambda p, r: (s := shard_of(r)).rename(s.with_name(s.name[:9] + ".parquet"))),
+    "two shards of one number": laid(lambda p, r: _second(r)),
+    "Arrow's own format": laid(lambda p, r: _ipc(r)),
+    "a folder of shards in a shard": laid(lambda p, r: _folder(r)),
+    "an empty shard with the digest of nothing": laid(lambda p, r: _empty(r)),
+    "1 TiB without bytes": laid(lambda p, r: os.truncate(shard_of(r), 1 << 40)),
+    "100,000 files beside it": laid(lambda p, r: _crowded(r)),
+    "1,000 methods": laid(
+        lambda p, r: [shutil.copy(r / "methods/random.json", r / f"methods/m{k}.json") for k in range(1000)]
+    ),
+    "shards of a method without a file": laid(lambda p, r: shutil.copytree(r / "shards/random", r / "shards/oracle")),
+    "a method's file without shards": laid(
+        lambda p, r: shutil.copy(r / "methods/random.json", r / "methods/oracle.json")
+    ),
+}
+
+
+def _crowded(run: Path) -> None:
+    for k in range(1, 100_000):
+        (run / "shards/random" / f"{k:06}-{k:016x}.parquet").touch()
+
+
+def _folder(run: Path) -> None:
+    shard = shard_of(run)
+    shard.unlink()
+    shard.mkdir()
+
+
+def _empty(run: Path) -> None:
+    shard_of(run).unlink()
+    (run / "shards/random/000000-e3b0c44298fc1c14.parquet").touch()
+
+
+def _second(run: Path) -> None:
+    keep = shard_of(run)
+    data = keep.read_bytes()
+    new = rewrite(run, lambda t: t)
+    if new != keep:
+        keep.write_bytes(data)
+
+
+def _ipc(run: Path) -> None:
+    import pyarrow.feather as feather
+    import pyarrow.parquet as pq
+
+    old = shard_of(run)
+    table = pq.read_table(old)
+    old.unlink()
+    part = old.with_name("part")
+    feather.write_feather(table, part)
+    part.rename(old.with_name(f"000000-{hashlib.sha256(part.read_bytes()).hexdigest()[:16]}.parquet"))
+
+
+# ---- files beside the shards, with the right digests
+
+
+def side(kind: str, columns: Callable[[int], dict[str, Any]]) -> Attack:
+    """A transfer whose rows, trials and successes are right and whose other columns are a stranger's."""
+
+    def does(place: Place) -> list[Command]:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        from r2h_batch.runs import load_run
+
+        run = small(place)
+        stored = load_run(run)
+        rows = stored.trials("random", ["trial_id", "outcome"]).to_pylist()
+        n = len(rows)
+        base = {
+            "trial_id": pa.array([r["trial_id"] for r in rows], pa.int64()),
+            "release": ["load-share"] * n,
+            "scenario": ["take"] * n,
+            "person": pa.array([0] * n, pa.int16()),
+            "success": [r["outcome"] == "success" for r in rows],
+            "received": [True] * n,
+            "outcome": ["taken"] * n,
+        }
+        table = pa.table({**base, **columns(n)})
+        (run / kind).mkdir(exist_ok=True)
+        about = {
+            key: json.dumps({"rows": stored.digest("random")}).encode()
+            for key in (b"r2h_batch", b"transfer", b"made_of")
+        }
+        pq.write_table(table.replace_schema_metadata(about), run / kind / "random.parquet")
+        return [VERIFY, REPORT, ["report", "run", "--format", "html", "--out", "told.html"]]
+
+    return Attack(does)
+
+
+SIDES: dict[str, Attack] = {
+    "a policy that is a tag": side("transfer", lambda n: {"release": [TAG] * n}),
+    "a scenario that is a formula": side("transfer", lambda n: {"scenario": ["=1+1"] * n}),
+    "an outcome that nobody knows": side("transfer", lambda n: {"outcome": ["won"] * n}),
+    "persons of -1": side("transfer", lambda n: {"person": [-1] * n}),
+    "forces of NaN": side("transfer", lambda n: {"peak_n": [float("nan")] * n, "share": [float("nan")] * n}),
+    "forces of 1e300": side("transfer", lambda n: {"peak_n": [1e300] * n, "share": [-1e300] * n}),
+    "1,000 more columns": side("transfer", lambda n: {f"x{k}": [0] * n for k in range(1000)}),
+    "held: columns of transfers": side("held", lambda n: {}),
+    "viewed: a share of 2": side("viewed", lambda n: {"share": [2.0] * n}),
+    "picked: reasons that are tags": side(
+        "picked", lambda n: {"pick_reason": [TAG] * n, "picked": [True] * n, "pick_m": [1.0] * n}
+    ),
+    "reception: 10^9 grasps": side("reception", lambda n: {"grasps": [10**9] * n, "reception": [1.0] * n}),
+}
+
+# ---- submissions
+
+
+def submitted(
+    change: Callable[[Path, dict[str, bytes]], object], must: str = "refused", command: Sequence[str] | None = None
+) -> Attack:
+    """A zip of a run that somebody wrote by hand."""
+
+    def does(place: Place) -> list[Command]:
+        run = small(place)
+        members = {
+            f"run/{f.relative_to(run)}": f.read_bytes()
+            for f in sorted(run.rglob("*"))
+            if f.is_file() and "claims" not in str(f)
+        }
+        shutil.rmtree(run)
+        change(place.work / "x.zip", members)
+        return [list(command or ["leaderboard", "x.zip", "--out", "board.html", "--rows", "1", "--least", "1"])]
+
+    return Attack(does, must)
+
+
+def packed(path: Path, members: dict[str, bytes], **infos: Any) -> None:
+    """A zip of these members; `external`: mode bits of the first one."""
+    with zipfile.ZipFile(path, "w") as out:
+        for k, (name, data) in enumerate(members.items()):
+            info = zipfile.ZipInfo(name)
+            info.create_system = 3
+            info.external_attr = infos.get("external", 0o100644) << 16 if k == 0 else 0o100644 << 16
+            out.writestr(info, data)
+
+
+def first_renamed(name: str) -> Callable[[Path, dict[str, bytes]], object]:
+    """A zip with one more member of this name."""
+    return lambda p, m: packed(p, {**m, name: b"owned"})
+
+
+ZIPS: dict[str, Attack] = {
+    "a member out of the folder": submitted(first_renamed("run/../../outside/folder/x")),
+    "a member of a drive": submitted(first_renamed("C:\\Windows\\x")),
+    "a member on a share": submitted(first_renamed("//server/share/x")),
+    "a member of a device of Windows": submitted(first_renamed("run/NUL"), "either"),
+    "a member with a stream of NTFS": submitted(first_renamed("run/run.json:stream"), "either"),
+    "a member that differs by case": submitted(lambda p, m: packed(p, {**m, "run/RUN.JSON": b"{}"}), "either"),
+    "a member that differs by composition": submitted(
+        lambda p, m: packed(p, {**m, "run/e\u0301": b"", "run/\u00e9": b""}), "either"
+    ),
+    "a member of 5,000 letters": submitted(first_renamed("run/" + "x" * 5000)),
+    "a member 1,000 folders deep": submitted(first_renamed("run/" + "a/" * 1000 + "x")),
+    "a member with a new line": submitted(first_renamed("run/a\nb"), "either"),
+    "a member with an escape": submitted(first_renamed("run/\x1b[2J"), "either"),
+    "a pipe as a member": submitted(lambda p, m: packed(p, m, external=0o010644), "either"),
+    "a device as a member": submitted(lambda p, m: packed(p, m, external=0o060644), "either"),
+    "bits of set-uid": submitted(lambda p, m: packed(p, m, external=0o104755), "either"),
+    "two runs": submitted(lambda p, m: packed(p, {**m, **{k.replace("run/", "other/", 1): v for k, v in m.items()}})),
+    "no run": submitted(lambda p, m: packed(p, {"x": b""})),
+    "a zip in a zip": submitted(lambda p, m: _nested(p, m)),
+    "a run within a run": submitted(
+        lambda p, m: packed(p, {**m, **{"run/shards/random/" + k: v for k, v in m.items()}}), "either"
+    ),
+    "rows alone": submitted(lambda p, m: packed(p, {k: v for k, v in m.items() if k.endswith("parquet")})),
+    "a tar": submitted(lambda p, m: p.write_bytes(_tar(m))),
+    "a file of code in it": submitted(
+        lambda p, m: packed(p, {**m, "run/r2h_batch/__init__.py": b"raise SystemExit", "run/sitecustomize.py": b"x"}),
+        "either",
+    ),
+    "a name that is a tag": submitted(
+        lambda p, m: packed(p.with_name(TAG.replace("/", "") + ".zip"), m),
+        must="either",
+        command=["leaderboard", ".", "--out", "board.html", "--rows", "1", "--least", "1"],
+    ),
+    "the zip itself is a link": submitted(lambda p, m: _linked(p, m), "either"),
+}
+
+
+def _nested(path: Path, members: dict[str, bytes]) -> None:
+    packed(path.with_name("y.zip"), members)
+    packed(path, {"run/y.zip": path.with_name("y.zip").read_bytes()})
+
+
+def _linked(path: Path, members: dict[str, bytes]) -> None:
+    packed(path.with_name("y"), members)
+    path.symlink_to("y")
+
+
+def _tar(members: dict[str, bytes]) -> bytes:
+    import io
+    import tarfile
+
+    file = io.BytesIO()
+    with tarfile.open(fileobj=file, mode="w") as out:
+        for name, data in members.items():
+            info = tarfile.TarInfo(name)
+            info.size = len(data)
+            out.addfile(info, io.BytesIO(data))
+    return file.getvalue()
+
+
+# ---- another's answers on a board
+
+BOARD = ["leaderboard", "mine", "--baselines", "sound", "--out", "board.html", "--rows", "2", "--least", "1"]
+
+
+def turned(degrees: float, axis: int) -> np.ndarray:
+    """A turn about an axis of the ee."""
+    T, a = np.eye(4), np.deg2rad(degrees)
+    i, j = [k for k in range(3) if k != axis]
+    T[i, i] = T[j, j] = np.cos(a)
+    T[i, j], T[j, i] = (-np.sin(a), np.sin(a)) if axis != 1 else (np.sin(a), -np.sin(a))
+    return T
+
+
+def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """A shift."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def replayed(
+    grasp: Callable[[np.ndarray, int], np.ndarray], pose: Callable[[np.ndarray, int], np.ndarray], every: int = 1
+) -> Attack:
+    """The oracle's answers, changed, as a method of one's own; in `every`-th trial, else random's."""
+
+    def does(place: Place) -> list[Command]:
+        import pyarrow.parquet as pq
+
+        base = ranked()
+        shutil.copytree(base, place.work / "sound")
+        rows: dict[str, dict[int, Any]] = {}
+        for method in ("oracle", "random"):
+            (shard,) = (base / "shards" / method).glob("*.parquet")
+            rows[method] = {
+                r["trial_id"]: r["poses"] for r in pq.read_table(shard, columns=["trial_id", "poses"]).to_pylist()
+            }
+        ids = sorted(rows["oracle"])
+        own = [rows["oracle" if k % every == 0 else "random"][i] for k, i in enumerate(ids)]
+        G = np.array([r["T_obj_ee"] for r in own], float).reshape(-1, 4, 4)
+        H = np.array([r["T_world_ee"] for r in own], float).reshape(-1, 4, 4)
+        for k in range(len(ids)):
+            G[k], H[k] = grasp(G[k], k), pose(H[k], k)
+        np.savez(
+            place.work / "mine.npz",
+            trial_id=np.array(ids),
+            T_obj_ee=G.astype(np.float32),
+            T_world_ee=H.astype(np.float32),
+        )
+        return [["sweep", "--predictions", "mine.npz", "--trials", "6", "--sim", "none", "--out", "mine"], BOARD]
+
+    return Attack(does, "either", no_place)
+
+
+def no_place(place: Place, ended: Ended) -> str:
+    """The board names whose answers they are, and gives them no place."""
+    page = place.work / "board.html"
+    text = page.read_text() if page.exists() else ""
+    return "" if "answers of oracle" in text.replace("\n", " ") else "another's answers have a place"
+
+
+def right(T: np.ndarray) -> Callable[[np.ndarray, int], np.ndarray]:
+    """The pose, then this."""
+    return lambda own, k: own @ T
+
+
+def left(T: np.ndarray) -> Callable[[np.ndarray, int], np.ndarray]:
+    """This, then the pose."""
+    return lambda own, k: T @ own
+
+
+def jitter(size: float) -> Callable[[np.ndarray, int], np.ndarray]:
+    """Another small shift in each trial."""
+    return lambda own, k: shifted(*np.random.default_rng(k).uniform(-size, size, 3)) @ own
+
+
+SAME = right(np.eye(4))
+REPLAYS: dict[str, Attack] = {
+    "as they are": replayed(SAME, SAME),
+    "every pose 0.9 mm higher": replayed(SAME, left(shifted(z=0.0009))),
+    "every pose 1.5 mm higher": replayed(SAME, left(shifted(z=0.0015))),
+    "every pose 3 mm higher": replayed(SAME, left(shifted(z=0.003))),
+    "another shift of up to 3 mm in each trial": replayed(SAME, jitter(0.003)),
+    "the gripper turned by half a turn, the object where it was": replayed(
+        right(turned(180, 2)), right(turned(180, 2))
+    ),
+    "the gripper 3 mm deeper, the object where it was": replayed(right(shifted(z=0.003)), right(shifted(z=0.003))),
+    "the gripper 3 mm aside, the object where it was": replayed(right(shifted(x=0.003)), right(shifted(x=0.003))),
+    "the gripper turned by 3 degrees about its axis": replayed(SAME, right(turned(3, 2))),
+    "the grasp of the oracle, its pose 3 mm aside, in every third trial": replayed(
+        SAME, left(shifted(y=0.003)), every=3
+    ),
+}
+
+KINDS = {
+    "numbers of a run.json": {k: header(*v) for k, v in HEADER.items()},
+    "files named by a run": {
+        f"a secret as {k}": named_in(k)
+        for k in ("hands", "hand_model", "objects", "trials_file", "benchmark", "people", "grasps", "robot")
+    },
+    "forged shards": shards(),
+    "files of shards": SHARD_FILES,
+    "forged files beside the shards": SIDES,
+    "archives of submissions": ZIPS,
+    "another's answers": REPLAYS,
+}
