@@ -199,7 +199,7 @@ def wrong(place: Place, before: Mapping[str, str], outside: Mapping[str, str], e
 
 def attacked(attack: Attack) -> tuple[str, Ended]:
     """What was wrong, and how the attack ended."""
-    with tempfile.TemporaryDirectory(prefix="attack-") as folder:
+    with tempfile.TemporaryDirectory(prefix="attack-", ignore_cleanup_errors=True) as folder:
         place = Place(Path(folder) / "work", Path(folder) / "outside")
         place.work.mkdir()
         place.outside.mkdir()
@@ -246,8 +246,8 @@ def ran(one: Command, place: Place, folder: Path) -> Ended:
         lines = [x for x in said.strip().splitlines() if not PROGRESS.search(x)]
         names = {"attack"} if callable(one) else {one[0], " ".join(one[:2]), "r2h-batch"}
         own = [x for x in lines if x.split(":")[0] in names]
-        if not own or own[-1] != lines[-1] or len(own) > MOST_LINES or max(map(len, lines)) > MOST_LETTERS:
-            how = f"refused in {len(own)} lines of {max(map(len, lines), default=0)} letters at most"
+        if not own or len(own) > MOST_LINES or max(map(len, own)) > MOST_LETTERS:
+            how = f"refused in {len(own)} lines of {max(map(len, own), default=0)} letters at most"
     return Ended(how, round(time.monotonic() - start, 2), max(0, peak - round(before)), said, told)
 
 

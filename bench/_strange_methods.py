@@ -270,8 +270,7 @@ SEES = [
     "run",
 ]
 SEEN: dict[str, str] = {
-    "it kills its parent": "os.kill(os.getppid(), 9) if False else os._exit(3)",
-    "it stops itself": "os.kill(os.getpid(), 19)",
+    "it ends with a code": "os._exit(3)",
     "it closes its pipes": "os.closerange(0, 256)",
     "it writes a pickle into every pipe": "[_try(fd) for fd in range(3, 64)]",
     "it writes 16 MiB into every pipe": "[_try(fd, b'\\xff' * (16 << 20)) for fd in range(3, 64)]",
@@ -279,7 +278,6 @@ SEEN: dict[str, str] = {
     "it imports the judge": "import r2h_batch.judge.grasp, r2h_batch.evaluate, r2h_batch.scene",
     "it looks for its parent's words": ""
     "open(f'/proc/{os.getppid()}/environ').read(), open(f'/proc/{os.getppid()}/cmdline').read()",
-    "it takes all memory": "_x = [bytearray(1 << 28) for _ in range(200)]",
     "it answers 10^9 rows": "return np.zeros((10**9, 4, 4), np.float32)[:0], 1",
 }
 WRITE = """

@@ -46,7 +46,9 @@ TURNED = 240
 """Trials of a split of the turn test."""
 STREAMED = 10**7
 """Pairs over which memory is measured."""
-REGIONS, TRIALS_OF_REGIONS = "* x 2 seed 77", 2000
+NOW = 250
+"""Trials of a split on which the weights of today are compared with those that ship."""
+REGIONS, TRIALS_OF_REGIONS = "* x 2 seed 77", 1000
 """Instances that no network learned from, each with four regions at random; their trials."""
 KINDS = ("a part", "all but a part", "one side of a plane")
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
@@ -288,8 +290,9 @@ class Bench:
             "scans, Intent": rates(judge, some, intent.predict(some, judge.scene)),
         }
 
-    def regions(self) -> dict[str, Any]:
-        """The weights that ship, and new ones of seed 0, on regions at random of instances that neither saw."""
+    def now(self) -> dict[str, Any]:
+        """The weights that ship and those of `train rank` now: on the benchmark, on regions at random of instances that neither
+        saw, and on meshes of a folder."""
         from r2h_batch.learning.instances import training_objects
         from r2h_batch.learning.regions import with_regions
         from r2h_batch.methods import learned
@@ -299,14 +302,19 @@ class Bench:
         judge = own.evaluator(threads=1)
         trials = own.trials_with_ids(1 + 2 * torch.arange(TRIALS_OF_REGIONS))  # odd ones: S1
         kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
-        found: dict[str, Any] = {"objects": len(plain), "trials": {k: int((kinds == k).sum()) for k in KINDS}}
+        found: dict[str, Any] = {"objects": len(plain), "kinds": {k: int((kinds == k).sum()) for k in KINDS}}
+        meshes = None if self.options.scans is None else scans(self.options.scans)
         path, _ = trained(self.options.runs, 0, ())
         for name, weights in (("that ship", None), ("of `train rank` now", path)):
             answers = learned.predict(trials, judge.scene, weights=str(weights or ""))
             won = judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages="pose").success.numpy()
-            found[name] = {k: 100 * float(won[kinds == k].mean()) for k in KINDS}
-            found[f"96 objects, {name}"] = self.judged(weights, self.some, self.evaluator)
-        return {"regions": found}
+            told: dict[str, Any] = {"kinds": {k: 100 * float(won[kinds == k].mean()) for k in KINDS}}
+            told["96"] = self.judged(weights, self.benchmark.trials(NOW), self.evaluator)
+            if meshes is not None:
+                some = meshes.scene.benchmark.trials(self.options.scan_trials)
+                told["meshes"] = self.judged(weights, some, meshes)
+            found[name] = told
+        return {"now": found}
 
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
@@ -335,7 +343,7 @@ class Bench:
         return {"memory": memory()}
 
 
-PARTS = ("seeds", "variants", "folds", "scans", "regions", "costs", "turned", "received", "generator", "memory")
+PARTS = ("seeds", "variants", "folds", "scans", "now", "costs", "turned", "received", "generator", "memory")
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -367,7 +375,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 {turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{generator}## What it costs
+{received}{now}{generator}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -390,13 +398,18 @@ NO_FOLDS = """- Networks that never saw a category were not trained for this pag
 """
 SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others were. In S1 the seeds differ by {:.1f} points.
 """
-REGIONS_WORDS = """## Regions at random
+NOW_WORDS = """## What `train rank` learns now
 
-The networks above learned from regions of 15 to 85 % of the surface. Seven of ten were one side of a plane. `r2h-batch train
-rank` now draws a third of [each kind](../training_loop.md#a-stream-to-learn-from), with 5 to 95 % of the surface. The table has
-success in percent: pose stage, {count} new instances that neither network saw; and S1 of this page's trials.
+The networks above saw a piece of the object: the first 256 points of its cloud, which is in the order of the mesh's faces. They
+learned from regions of 15 to 85 % of the surface, and most of these were one side of a plane. `r2h-batch train rank` now spreads
+the points over the object, and draws a third of [each kind](../training_loop.md#a-stream-to-learn-from) of region. A region has
+5 to 95 % of the surface. The weights that ship are still those of seed 0 above. SR in percent; failures as above:
 
 {table}
+
+Success of the pose stage in percent on {count} new instances with regions at random, which neither network saw:
+
+{kinds}
 
 """
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
@@ -458,15 +471,31 @@ def received_words(data: Mapping[str, Any]) -> str:
     return RECEIVED.format(received_of=data["received_of"], received=markdown_table(["", *heads], taken))
 
 
-def regions_words(own: Mapping[str, Any]) -> str:
-    """The section on regions at random."""
+def cells(row: Mapping[str, Any]) -> list[str]:
+    """SR and first failures of S0 and S1."""
+    told = []
+    for split in ("s0", "s1"):
+        own = row.get(split)
+        failed = "" if own is None else "/".join(str(own[k]) for k in ("plan", "reach", "affordance", "safe"))
+        told.append("-" if own is None else f"{own['sr']:.1f} ({failed} of {own['of']})")
+    return told
+
+
+def now_words(own: Mapping[str, Any]) -> str:
+    """The section on the weights of `train rank` now."""
     names = ("that ship", "of `train rank` now")
-    rows = [
-        [f"weights {n}", *(f"{own[n][k]:.1f}" for k in KINDS), f"{own[f'96 objects, {n}']['s1']['sr']:.1f}"]
-        for n in names
-    ]
-    heads = [f"{k} ({own['trials'][k]} trials)" for k in KINDS]
-    return REGIONS_WORDS.format(count=own["objects"], table=markdown_table(["", *heads, "S1 of the 96"], rows))
+    rows, kinds = [], []
+    for name in names:
+        told = own[name]
+        both = [cells(told[k]) if k in told else ["-", "-"] for k in ("96", "meshes")]
+        rows.append([f"weights {name}", *both[0], *both[1]])
+        kinds.append([f"weights {name}", *(f"{told['kinds'][k]:.1f}" for k in KINDS)])
+    heads = [f"{k} ({own['kinds'][k]} trials)" for k in KINDS]
+    return NOW_WORDS.format(
+        count=own["objects"],
+        table=markdown_table(["", "S0", "S1", "own meshes, S0", "own meshes, S1"], rows),
+        kinds=markdown_table(["", *heads], kinds),
+    )
 
 
 def generator_words(own: Mapping[str, Any]) -> str:
@@ -490,14 +519,6 @@ def markdown(data: Mapping[str, Any]) -> str:
     from r2h_batch.learning.rank import Recipe
     from r2h_batch.methods.learned import FIRST, TOP
     from r2h_batch.scene.objects import S0_NAMES
-
-    def cells(row: Mapping[str, Any]) -> list[str]:
-        told = []
-        for split in ("s0", "s1"):
-            own = row.get(split)
-            failed = "" if own is None else "/".join(str(own[k]) for k in ("plan", "reach", "affordance", "safe"))
-            told.append("-" if own is None else f"{own['sr']:.1f} ({failed} of {own['of']})")
-        return told
 
     lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
     lines += [[name, *cells(data[name])] for name in ("second round", "blind") if name in data]
@@ -526,7 +547,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
         turned=turned_words(data["turned"]) if "turned" in data else "",
         received=received_words(data) if "received" in data else "",
-        regions=regions_words(data["regions"]) if "regions" in data else "",
+        now=now_words(data["now"]) if "now" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",

@@ -81,13 +81,25 @@ def load_function(spec: str, kind: str = "function") -> UserFunction:
         raise ImportError(f"{place} has no {kind.lower()} {name!r}") from None
 
 
+def text_of(error: BaseException) -> str:
+    """The text of an error that a user's code raised: its `__str__` is the user's code too, and may raise.
+
+    Args:
+        error: as it was caught.
+    """
+    try:
+        return str(error)
+    except Exception:
+        return "an error whose text cannot be had"
+
+
 def raised(error: BaseException) -> str:
     """The error that a user's code raised, and where, in one line.
 
     Args:
         error: as it was caught.
     """
-    what = f"{type(error).__name__}: {printable(' '.join(str(error).split()))[:300]}"
+    what = f"{type(error).__name__}: {printable(' '.join(text_of(error).split()))[:300]}"
     if isinstance(error, SyntaxError):  # its text says where
         return what
     where = traceback.extract_tb(error.__traceback__)[-1]

@@ -39,7 +39,7 @@ def export(
     from r2h_batch.runs.files import RunError
     from r2h_batch.scene.robot import DEFAULT_ROBOT
     from r2h_batch.view.export.release import (
-        release_name,
+        release_names,
         write_release_results,
         write_release_trial,
     )
@@ -52,11 +52,7 @@ def export(
     name = reader.method(method or None)
     rows = reader.rows(name).to_pylist()
     judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
-    labels = {i: (text, variant or name) for i, (text, variant) in reader.run.labels.items()}
-    names = {
-        r["trial_id"]: labels.get(r["trial_id"], (release_name(name, r["trial_id"]), name))
-        for r in judged
-    }
+    names = release_names([r["trial_id"] for r in judged], name, reader.run.labels)
     ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
     out.mkdir(parents=True, exist_ok=True)
     for i in ids:

@@ -5,6 +5,7 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_folder
 
@@ -22,6 +23,8 @@ def rank(
     rounds: int = 2,
     mined_items: int = 4,
     mined_steps: int = 250,
+    views: Path | None = None,
+    start: str = "",
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = "",
 ) -> int:
     """Train the ranker of method learned on new instances of the families, and write its weights.
@@ -41,24 +44,40 @@ def rank(
         rounds: rounds of pairs that the network likes best, judged.
         mined_items: items of each round.
         mined_steps: steps after each round.
+        views: learn for methods that see, from this folder of observe export --believed; without benchmark, families and mined
+            pairs, an item is a shard.
+        start: weights to begin with, rank.safetensors of another training, or shipped.
         log: write the loss to TensorBoard, Weights & Biases, MLflow or Trackio too.
     """
     from r2h_batch.base.loggers import Logger
-    from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_ranker
+    from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_on_views, train_ranker
     from r2h_batch.protocols.load import load_benchmark
 
-    if not (out / CHECKPOINT).is_file():
-        check_output_folder(out, overwrite=None)
     recipe = Recipe(
         families=families, leave_out=leave_out, regions=regions, seed=seed, items=items, steps=steps, rounds=rounds,
-        mined_items=mined_items, mined_steps=mined_steps,
+        mined_items=mined_items, mined_steps=mined_steps, start=start,
     )  # fmt: skip
-    found = load_benchmark(benchmark) if benchmark else load_benchmark()
+    if views is not None:
+        own = Recipe(seed=seed, steps=steps, start=start)
+        given = [k for k, v in vars(recipe).items() if v != getattr(own, k)] + ["benchmark"] * bool(
+            benchmark
+        )
+        if given:
+            flag = given[0].replace("_", "-")
+            raise UsageError(
+                f"--{flag} does not go with --views, whose shards hold instances and pairs; leave it out"
+            )
+    if not (out / CHECKPOINT).is_file():
+        check_output_folder(out, overwrite=None)
     with Logger(log, out, vars(recipe)) if log else nullcontext() as logger:
         numbers: Callable[[Mapping[str, float], int], Any] = (
             logger.log if logger else lambda numbers, step: None
         )
-        path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers)
+        if views is not None:
+            path = train_on_views(views, recipe, out, tell=LOG.info, log=numbers)
+        else:
+            found = load_benchmark(benchmark) if benchmark else load_benchmark()
+            path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers)
     print(path)
     return 0
 

@@ -110,7 +110,6 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         self.pairs, self.poses, self.trials, self.seed, self.see = pairs, poses, trials, seed, see
         self.first_item, self.items, self.first_id = first_item, items, first_id
         self._splits = [k for k, s in enumerate(SPLITS) if any(o.split == s for o in own.objects)]
-        self._key = rng.key_of(f"stream {seed}")
         self.left_out: Pairs | None = None
         if left_out:
             self.left_out = type(self)(
@@ -187,16 +186,40 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             seen: what methods see of them.
             middle: (N, 3) what is brought to the palm, frame obj.
         """
-        n, k, ids = len(trials), self.pairs, trials.trial_id.numpy()
-        u = np.ascontiguousarray(rng.uniforms(self._key, ids, k // self.poses, purpose=_PICK).T)
-        drawn = rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy())
-        pick = torch.from_numpy(drawn).repeat_interleave(self.poses, dim=1)
-        rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
-        T_obj_ee = seen["candidates"][rows, pick]
-        numbers = rng.uniforms(self._key, ids, k * NUMBERS, purpose=_POSE)
-        u = np.ascontiguousarray(numbers.T).reshape(n, k, NUMBERS)
-        hand = seen["ball_center"], seen["palm_normal"]
-        return pick, propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
+        return pairs_at_random(
+            self.seed, trials.trial_id, seen, middle, pairs=self.pairs, poses=self.poses
+        )
+
+
+def pairs_at_random(
+    seed: int,
+    trial_id: Tensor,
+    seen: Mapping[str, Tensor],
+    middle: Tensor,
+    *,
+    pairs: int,
+    poses: int,
+) -> tuple[Tensor, Tensor]:
+    """Pairs of some trials: the candidate (N, K) and T_world_ee (N, K, 4, 4) of each.
+
+    Args:
+        seed: key of the draws.
+        trial_id: (N,) a row depends on seed and id alone.
+        seen: what methods see of them.
+        middle: (N, 3) what is brought to the palm, frame obj.
+        pairs: K.
+        poses: pairs of one candidate.
+    """
+    key, n, ids = rng.key_of(f"stream {seed}"), len(trial_id), trial_id.numpy()
+    u = np.ascontiguousarray(rng.uniforms(key, ids, pairs // poses, purpose=_PICK).T)
+    drawn = rng.choice(u, seen["exists"].sum(1, keepdim=True).numpy())
+    pick = torch.from_numpy(drawn).repeat_interleave(poses, dim=1)
+    rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
+    T_obj_ee = seen["candidates"][rows, pick]
+    numbers = rng.uniforms(key, ids, pairs * NUMBERS, purpose=_POSE)
+    u = np.ascontiguousarray(numbers.T).reshape(n, pairs, NUMBERS)
+    hand = seen["ball_center"], seen["palm_normal"]
+    return pick, propose(middle, *hand, T_obj_ee, torch.from_numpy(u))
 
 
 @check_arguments(

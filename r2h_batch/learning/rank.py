@@ -2,23 +2,29 @@
 
 import math
 import time
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, UserError
 from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.read import open_file
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.base.validate import integer, sequence_of
 from r2h_batch.learning.mining import mine
 from r2h_batch.learning.pairs import Pairs, stream
+from r2h_batch.learning.seen_views import Views
+from r2h_batch.methods.learned import trained_on as trained_on_of
+from r2h_batch.methods.learned import weights_file
 from r2h_batch.methods.ranker import features
-from r2h_batch.methods.ranker.network import Ranker, save_weights
+from r2h_batch.methods.ranker.network import UNNAMED, Ranker, read_weights, save_weights
 from r2h_batch.methods.ranker.search import scored_by
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.verdicts import CRITERIA
@@ -32,8 +38,34 @@ BLIND = 0.25
 """Share of the trials whose region is hidden while it learns."""
 BATCH, MINED_BATCH = 64, 24
 """Trials of a step; how many of them are mined, where some are."""
+MOST_BYTES = 4 << 30
+"""A stored file has no more."""
+SHIPPED = "shipped"
+"""Names the weights of method learned."""
 EVERY = 100
 """Steps between two lines and two checkpoints."""
+
+
+@contextmanager
+def stored_state(path: Path) -> Iterator[Mapping[str, Any]]:
+    """The state that this command has stored at a place, for as long as it is taken over.
+
+    Raises:
+        FileError: the file is something else or damaged, whether torch finds it or who takes it over does.
+    """
+    try:
+        with open_file(path, MOST_BYTES) as file, warnings.catch_warnings():
+            warnings.simplefilter(
+                "ignore"
+            )  # of a pickle that torch did not write: it is refused below
+            kept = torch.load(file, weights_only=True)
+        yield kept
+    except UserError:
+        raise
+    except Exception as error:  # torch's readers raise whatever their parts do
+        words = "damaged, or not written by this command; remove it, or give another --out"
+        raise FileError(f"{path}: {words}") from error
+
 
 Told = Callable[[str], None]
 Logged = Callable[[Mapping[str, float], int], None]
@@ -53,6 +85,7 @@ class Recipe:
         rounds: rounds of mined pairs.
         mined_items: items of each.
         mined_steps: steps after each.
+        start: weights to begin with: a file, or `SHIPPED`; empty: at random.
     """
 
     families: str = "* x 5 seed 5"
@@ -64,6 +97,7 @@ class Recipe:
     rounds: int = 2
     mined_items: int = 4
     mined_steps: int = 250
+    start: str = ""
 
     def __post_init__(self) -> None:
         for name in ("items", "steps", "mined_items", "mined_steps"):
@@ -142,12 +176,14 @@ def _counted(
 class Training:
     """A network and its optimiser on the way through a recipe; the same bits whether it was interrupted or not."""
 
-    def __init__(self, recipe: Recipe, pairs: Pairs, out: Path, tell: Told, log: Logged) -> None:
+    def __init__(
+        self, recipe: Recipe, pairs: Pairs | Views, out: Path, tell: Told, log: Logged
+    ) -> None:
         """Begins, or goes on where `out` has a checkpoint.
 
         Args:
             recipe: what to do.
-            pairs: the stream.
+            pairs: the stream; or shards of views, of which no pairs are mined.
             out: folder of the checkpoint.
             tell: prints a line.
             log: takes numbers at a step.
@@ -157,20 +193,26 @@ class Training:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(recipe.seed)
             self.net = Ranker(CRITERIA)
+        if recipe.start:
+            self.net.load_state_dict(begun(recipe.start).state_dict())
         self.adam = torch.optim.AdamW(self.net.parameters(), lr=RATE, weight_decay=DECAY)
         self.step, self.shown = 0, 0.0
         self.spent: dict[str, float] = {}
         self.lessons: list[Lessons] = []
         if (path := out / CHECKPOINT).exists():
-            kept = torch.load(path, weights_only=True)
-            if kept["recipe"] != plain(recipe, pairs):
-                raise FileError(
-                    f"{path}: is of another recipe or benchmark; give another --out, or the same flags"
+            with stored_state(path) as kept:
+                if kept["recipe"] != plain(recipe, pairs):
+                    raise FileError(
+                        f"{path}: is of another recipe or benchmark; give another --out, or the same flags"
+                    )
+                self.net.load_state_dict(kept["net"])
+                self.adam.load_state_dict(kept["adam"])
+                self.random.set_state(kept["random"])
+                self.step, self.shown, self.spent = (
+                    int(kept["step"]),
+                    float(kept["shown"]),
+                    dict(kept["spent"]),
                 )
-            self.net.load_state_dict(kept["net"])
-            self.adam.load_state_dict(kept["adam"])
-            self.random.set_state(kept["random"])
-            self.step, self.shown, self.spent = kept["step"], kept["shown"], kept["spent"]
             tell(f"{path}: goes on at step {self.step}")
 
     def keep(self) -> None:
@@ -208,7 +250,8 @@ class Training:
         path, recipe, start = self.out / LESSONS.format(number), self.recipe, time.process_time()
         done = recipe.steps + (number - 1) * recipe.mined_steps
         if path.exists() and self.step >= (done if number else 1):
-            found = Lessons(**torch.load(path, weights_only=True))
+            with stored_state(path) as kept:
+                found = Lessons(**kept)
         else:
             many = recipe.mined_items if number else recipe.items
             with progress("labels", many, "items") as told:
@@ -216,6 +259,7 @@ class Training:
                     items = (self.pairs.item(i) for i in range(many))
                     found = Lessons.of(_counted(items, told), POSES)
                 else:
+                    assert isinstance(self.pairs, Pairs)  # the recipe of views has no rounds
                     first = recipe.items + (number - 1) * many
                     mined = mine(
                         self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=first, items=many
@@ -223,7 +267,7 @@ class Training:
                     found = Lessons.of(_counted(mined, told), 1)
             with atomic_path(path) as temporary:
                 torch.save(vars(found), temporary)
-            if number == 0:
+            if number == 0 and not recipe.start:
                 x = torch.cat(
                     [found.candidate.repeat_interleave(POSES, 1), found.pair], -1
                 ).flatten(0, 1)
@@ -270,19 +314,96 @@ class Training:
         self.step += 1
 
 
-def plain(recipe: Recipe, pairs: Pairs) -> dict[str, Any]:
-    """A recipe, its benchmark and the criteria of its labels as JSON.
+def begun(start: str) -> Ranker:
+    """The network that a training begins with.
+
+    Args:
+        start: a file of weights, or `SHIPPED`.
+
+    Raises:
+        FileError: the file is missing, or its network learned other criteria.
+    """
+    with weights_file("" if start == SHIPPED else start) as path:
+        net = read_weights(path)
+    if net.criteria not in (CRITERIA, UNNAMED):
+        raise FileError(
+            f"{start}: learned {', '.join(net.criteria)}; give weights that learned {', '.join(CRITERIA)}"
+        )
+    return net
+
+
+def plain(recipe: Recipe, pairs: Pairs | Views) -> dict[str, Any]:
+    """A recipe, its benchmark or views and the criteria of its labels as JSON.
 
     Args:
         recipe: any.
-        pairs: its stream.
+        pairs: its stream or shards.
     """
+    source = pairs.identity if isinstance(pairs, Views) else {"benchmark": pairs.benchmark.digest}
     return {
         **asdict(recipe),
         "leave_out": list(recipe.leave_out),
-        "benchmark": pairs.benchmark.digest,
+        **source,
         "criteria": list(CRITERIA),
     }
+
+
+def train_on_views(
+    folder: Path,
+    recipe: Recipe,
+    out: Path,
+    *,
+    tell: Told = print,
+    log: Logged = lambda numbers, step: None,
+) -> Path:
+    """Train a ranker for methods that see, on what cameras saw of new instances. No pairs are mined: nothing is judged.
+
+    Args:
+        folder: shards that `r2h-batch observe export --believed` wrote.
+        recipe: its seed, steps and start; an item is a shard, and there are no rounds.
+        out: folder of checkpoint, labels and weights.
+        tell: prints a line.
+        log: takes numbers at a step.
+
+    Returns:
+        The file of weights, which says what it was trained on.
+    """
+    views = Views(folder)
+    own = replace(recipe, families="", regions=0, rounds=0, items=len(views.files))
+    return _trained(
+        own, views, out, tell, log, {"benchmark": views.benchmark, "objects": views.names}
+    )
+
+
+def _trained(
+    recipe: Recipe,
+    pairs: Pairs | Views,
+    out: Path,
+    tell: Told,
+    log: Logged,
+    learned_from: dict[str, Any],
+    begin: float | None = None,
+) -> Path:
+    """The file of weights; `begin` is the CPU time at which the drawing of instances began."""
+    training = Training(recipe, pairs, out, tell, log)
+    if begin is not None:
+        training.spent["instances"] = (
+            training.spent.get("instances", 0.0) + time.process_time() - begin
+        )
+    net = training.run()
+    seconds = {k: round(v, 1) for k, v in training.spent.items()}
+    path = out / WEIGHTS
+    if recipe.start:
+        before = trained_on_of("" if recipe.start == SHIPPED else recipe.start)
+        learned_from = {
+            **learned_from,
+            "objects": [*dict.fromkeys([*before, *learned_from["objects"]])],
+        }
+    save_weights(
+        net, path, plain(recipe, pairs) | {"trained_on": learned_from, "cloud": features.SPREAD}
+    )
+    tell(f"{path}: CPU seconds {', '.join(f'{k} {v}' for k, v in seconds.items())}")
+    return path
 
 
 def train_ranker(
@@ -310,15 +431,7 @@ def train_ranker(
         benchmark, recipe.families, leave_out=recipe.leave_out, pairs=PAIRS, poses=POSES, regions=recipe.regions,
         trials=TRIALS, seed=recipe.seed, see=features.SEE,
     )  # fmt: skip
-    training = Training(recipe, pairs, out, tell, log)
-    training.spent["instances"] = training.spent.get("instances", 0.0) + time.process_time() - start
-    net = training.run()
-    seconds = {k: round(v, 1) for k, v in training.spent.items()}
-    path = out / WEIGHTS
-    about = plain(recipe, pairs) | {"trained_on": trained_on(benchmark, pairs)}
-    save_weights(net, path, about)
-    tell(f"{path}: CPU seconds {', '.join(f'{k} {v}' for k, v in seconds.items())}")
-    return path
+    return _trained(recipe, pairs, out, tell, log, trained_on(benchmark, pairs), start)
 
 
 def trained_on(benchmark: Benchmark, pairs: Pairs) -> dict[str, Any]:

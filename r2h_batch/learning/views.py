@@ -16,6 +16,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path, write_text
 from r2h_batch.base.package import VERSION
+from r2h_batch.learning.believed_pairs import believed_pairs
 from r2h_batch.learning.pairs import Pairs
 from r2h_batch.methods import oracle
 from r2h_batch.observe.seen import LABELS, Images, Receiver
@@ -50,13 +51,23 @@ and handover pose.
 | `pairs/success`, `labels`, `margin` | (N, K), (N, K, 5) | verdicts of the pose stage ({criteria}; NaN: not evaluated) |
 | `oracle/...` | as `pairs` with K = 1 | the best of {rounds} proposals that know the truth |
 | `truth/...` | | trial, object, where object and hand are: for analysis, not for a method's input |
-
+{believed}
 Verdicts are those of the true object and hand. Frames are `T_a_b`, axes as in the documentation (docs/observe.md).
 """
 
 
+BELIEVED = """| `believed/...` | M of the N (`row`) | {believed} more pairs, with grasps on the solid that is seen |
+"""
+
+
 def write_views(
-    pairs: Pairs, sees: Sees, out: Path, *, shards: range, tell: Callable[[str], None]
+    pairs: Pairs,
+    sees: Sees,
+    out: Path,
+    *,
+    shards: range,
+    tell: Callable[[str], None],
+    believed: int = 0,
 ) -> list[Path]:
     """Write shards of a stream's items; those that are there already stay.
 
@@ -66,6 +77,7 @@ def write_views(
         out: folder.
         shards: numbers of the items.
         tell: gets a line for each shard.
+        believed: pairs of each trial in the world that built-in methods believe (`believed_pairs`); 0: none.
 
     Returns:
         The files.
@@ -76,7 +88,7 @@ def write_views(
     if find_spec("h5py") is None:
         raise UsageError("observe export writes HDF5 with h5py: pip install 'r2h_batch[import]'")
     out.mkdir(parents=True, exist_ok=True)
-    card = _card(pairs, sees)
+    card = _card(pairs, sees, believed)
     place = out / "README.md"
     if not place.exists():
         write_text(place, card)
@@ -90,14 +102,14 @@ def write_views(
             tell(f"{file.name}: there already")
             continue
         with atomic_path(file) as temporary, progress(file.name, 1, "shard"):
-            _write(temporary, dict(_arrays(pairs, sees, index)))
+            _write(temporary, dict(_arrays(pairs, sees, index, believed)), _made_with(pairs, sees))
         tell(
             f"{file.name}: {pairs.trials} trials, {file.stat().st_size / pairs.trials / 1e3:.0f} kB each"
         )
     return files
 
 
-def _card(pairs: Pairs, sees: Sees) -> str:
+def _card(pairs: Pairs, sees: Sees, believed: int) -> str:
     names = sorted({o.name for o in pairs.objects})
     few = ", ".join(names[:3])
     return CARD.format(
@@ -105,10 +117,13 @@ def _card(pairs: Pairs, sees: Sees) -> str:
         benchmark=f"{pairs.benchmark.name}, digest {pairs.benchmark.digest}", objects=len(names),
         families=f"{few} and others" if len(names) > 3 else few, sees=json.dumps(sees.identity, sort_keys=True),
         step=DEPTH_STEP_M, labels=", ".join(LABELS), cloud=CLOUD, criteria=", ".join(CRITERIA), rounds=ORACLE_ROUNDS,
+        believed=BELIEVED.format(believed=believed) if believed else "",
     )  # fmt: skip
 
 
-def _arrays(pairs: Pairs, sees: Sees, index: int) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays(
+    pairs: Pairs, sees: Sees, index: int, believed: int
+) -> Iterator[tuple[str, NDArray[Any]]]:
     """The datasets of an item by path."""
     item, scene = pairs.item(index), pairs.evaluator.scene
     trials = pairs.benchmark.trials_with_ids(item["trial_id"])
@@ -136,6 +151,10 @@ def _arrays(pairs: Pairs, sees: Sees, index: int) -> Iterator[tuple[str, NDArray
     yield "oracle/T_world_grasp", grasps(best.T_obj_ee[:, None])
     yield "oracle/T_world_ee", best.T_world_ee[:, None].numpy()
     yield "oracle/success", scores.success[:, None].numpy()
+    if believed:
+        told = believed_pairs(pairs, sees, seen, trials, T_world_obj, count=believed)
+        for name, value in told.items():
+            yield f"believed/{name}", value.numpy()
     yield "truth/trial_id", trials.trial_id.numpy()
     names = [scene.objects[i].name for i in trials.object_index.tolist()]
     yield "truth/object", np.array(names, dtype="S")
@@ -155,12 +174,21 @@ def _receiver(receiver: Receiver) -> Iterator[tuple[str, NDArray[Any]]]:
         yield f"receiver/{name}", value.numpy()
 
 
-def _write(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+def _made_with(pairs: Pairs, sees: Sees) -> dict[str, str]:
+    """Attributes of a shard that say where it is from."""
+    return {
+        "benchmark": pairs.benchmark.name, "benchmark_digest": pairs.benchmark.digest,
+        "sees": json.dumps(sees.identity, sort_keys=True),
+    }  # fmt: skip
+
+
+def _write(path: Path, arrays: dict[str, NDArray[Any]], made_with: dict[str, str]) -> None:
     import h5py
 
     with h5py.File(path, "w") as file:
         file.attrs.update(
-            format=FORMAT, version=VERSION, depth_step_m=DEPTH_STEP_M, labels=list(LABELS), criteria=list(CRITERIA)
+            format=FORMAT, version=VERSION, depth_step_m=DEPTH_STEP_M, labels=list(LABELS), criteria=list(CRITERIA),
+            **made_with,
         )  # fmt: skip
         for name, array in arrays.items():
             packed: dict[str, Any] = {}

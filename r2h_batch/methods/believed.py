@@ -118,9 +118,7 @@ class AskedHere:
         self._known, self._threads = known_before(benchmark), threads
         self._config = replace(config, receiver="hand")
         self._sizes = error_sizes(noise, model)
-        self._noise = replace(
-            PredictorNoise().scaled(noise), target_rotation_deg=0.0, target_translation_m=0.0
-        )
+        self._noise = noise_left(noise)
 
     def ask(
         self, seen: Observation
@@ -163,6 +161,16 @@ class AskedHere:
                 world.scene.benchmark, world.scene.config, device="cpu", threads=self._threads
             )
         return found
+
+
+def noise_left(noise: float) -> PredictorNoise:
+    """Errors of what methods see, less that of the target hand: `Observation.receiver` has it already.
+
+    Args:
+        noise: factor on errors, as of `observe`.
+    """
+    scaled = PredictorNoise().scaled(noise)
+    return replace(scaled, target_rotation_deg=0.0, target_translation_m=0.0)
 
 
 def error_sizes(noise: float, model: Level | None) -> Sizes:

@@ -8,6 +8,7 @@ borders. It asks no judge, and solves no IK.
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from importlib import resources
 from pathlib import Path
 from typing import Literal
@@ -20,9 +21,9 @@ from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import check_candidates
 from r2h_batch.methods.placing import check_choice
 from r2h_batch.methods.predictors import Observations, PredictorNoise
-from r2h_batch.methods.ranker.features import SEE
+from r2h_batch.methods.ranker.features import SEE, SPREAD
 from r2h_batch.methods.ranker.network import Ranker, about_weights, read_weights
-from r2h_batch.methods.ranker.observe import Seen, observe
+from r2h_batch.methods.ranker.observe import observe
 from r2h_batch.methods.ranker.search import liked, scored_by
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
@@ -71,7 +72,7 @@ def predict(
     check_candidates(scene, trials.object_index)
     net = _net(weights)
     key = rng.key_of(f"learned {seed}")
-    see = Seen(cloud=SEE.cloud, hand=SEE.hand, noise=noise)
+    see = replace(SEE, noise=noise, spread=_spread(weights))
 
     def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
         # each trial alone: torch's sums have other last bits in other shapes
@@ -98,7 +99,7 @@ def trained_on(weights: str = "", **_: object) -> list[str]:
     Args:
         weights: as of `predict`.
     """
-    with _file(weights) as path:
+    with weights_file(weights) as path:
         told = about_weights(path).get("trained_on")
     objects = told.get("objects", []) if isinstance(told, dict) else []
     return [str(name) for name in objects]
@@ -108,15 +109,25 @@ TRAINED_ON = trained_on
 """A sweep writes it beside the method, and compares it with the judged objects."""
 
 
+def _spread(weights: str) -> bool:
+    """Whether a ranker learned from clouds that are spread over the object; earlier ones learned from one piece of it."""
+    with weights_file(weights) as path:
+        return about_weights(path).get("cloud") == SPREAD
+
+
 def _net(weights: str) -> Ranker:
     """The ranker of a file; empty: the shipped one."""
-    with _file(weights) as path:
+    with weights_file(weights) as path:
         return read_weights(path)
 
 
 @contextmanager
-def _file(weights: str) -> Iterator[Path]:
-    """A file of weights; empty: the shipped ones."""
+def weights_file(weights: str) -> Iterator[Path]:
+    """A file of weights.
+
+    Args:
+        weights: its path; empty: the weights that ship.
+    """
     if weights:
         yield Path(weights).absolute()
     else:

@@ -8,13 +8,24 @@ import weakref
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
 import torch
 from jaxtyping import Float32, Float64
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.errors import UserError
-from r2h_batch.observe.messages import receive, send
+from r2h_batch.observe.messages import MessageError, receive, send
 from r2h_batch.observe.seen import Observation, packed
+
+MOST_WORDS = 1 << 20
+"""Bytes of an answer beside its numbers."""
+NUMBERS: Mapping[str, tuple[tuple[int, ...], str]] = {
+    "T_world_grasp": ((4, 4), "float64"),
+    "T_world_ee": ((4, 4), "float64"),
+    "t_method_s": ((), "float32"),
+}
+"""What an answer holds: name -> shape of a row, type."""
 
 
 class Apart:
@@ -66,19 +77,40 @@ class Apart:
         order = torch.argsort(seen.key.cpu())
         try:
             send(process.stdin, packed(seen[order]))
-            answer = receive(process.stdout)
+            answer = receive(process.stdout, len(seen) * 512 + MOST_WORDS)
         except BrokenPipeError:
             answer = None
+        except MessageError as error:
+            self._drop(process)
+            raise UserError(f"its process wrote {error} where its answer belongs") from error
         if answer is None:
             self._process = None
             raise UserError(f"its process ended with code {process.wait()}")
         if "error" in answer:
             raise UserError(str(answer["error"]))
+        if wrong := _wrong(answer, len(seen)):
+            self._drop(process)
+            raise UserError(f"its process wrote {wrong} where its answer belongs")
         back = torch.argsort(order)
         grasp, handover, seconds = (
             torch.from_numpy(answer[k])[back] for k in ("T_world_grasp", "T_world_ee", "t_method_s")
         )
         return grasp, handover, seconds
+
+    def _drop(self, process: "subprocess.Popen[bytes]") -> None:
+        """Ends a process whose pipe is of no use any more."""
+        self._process = None
+        process.kill()
+        process.wait()
+
+
+def _wrong(answer: Mapping[str, NDArray[Any]], n: int) -> str:
+    """What an answer is instead of `NUMBERS`; nothing where it is right. The user's code can write into the pipe too."""
+    for name, (row, kind) in NUMBERS.items():
+        array = answer.get(name, np.empty(0, object))
+        if array.shape != (n, *row) or array.dtype != np.dtype(kind):
+            return f"{name} as {array.shape} {array.dtype}"
+    return ""
 
 
 def _end(process: "subprocess.Popen[bytes]") -> None:

@@ -27,6 +27,8 @@ from r2h_batch.observe.seen import unpacked
 ALLOWED = ("r2h_batch.base", "r2h_batch.observe.seen")
 """Modules of the package that a method that sees may import, with all that lies in them."""
 PACKAGE = "r2h_batch"
+MOST_LETTERS = 10_000
+"""Of the words about an error."""
 
 
 class Forbidden(MetaPathFinder):
@@ -58,7 +60,7 @@ def main() -> int:
         torch.set_num_threads(asked["threads"])
     sys.meta_path.insert(0, Forbidden())
     options, function = asked["options"], None
-    while (message := receive(questions)) is not None:
+    while (message := receive(questions, sys.maxsize)) is not None:
         try:
             if function is None:
                 function = load_function(asked["method"]).function
@@ -69,7 +71,7 @@ def main() -> int:
             found = _arrays(answer, len(seen), seconds)
         except BaseException as error:  # SystemExit too: the parent says it in one line
             own = isinstance(error, _WrongAnswerError)
-            found = {"error": np.array(str(error) if own else raised(error))}
+            found = {"error": np.array((str(error) if own else raised(error))[:MOST_LETTERS])}
         send(answers, found)
     return 0
 

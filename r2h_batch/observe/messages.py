@@ -9,7 +9,13 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from r2h_batch.base.errors import UserError
+
 _LENGTH = struct.Struct("<Q")
+
+
+class MessageError(UserError):
+    """Bytes that are no message, from a process in which a user's code runs."""
 
 
 def send(pipe: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -28,19 +34,28 @@ def send(pipe: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
     pipe.flush()
 
 
-def receive(pipe: IO[bytes]) -> dict[str, NDArray[Any]] | None:
+def receive(pipe: IO[bytes], most: int) -> dict[str, NDArray[Any]] | None:
     """The arrays of the next message; None: the other process has ended.
 
     Args:
         pipe: from the other process.
+        most: bytes of a message; more are not read.
+
+    Raises:
+        MessageError: a longer message, or bytes that no `send` wrote. The pipe is of no use then.
     """
     head = pipe.read(_LENGTH.size)
     if len(head) < _LENGTH.size:
         return None
     (size,) = _LENGTH.unpack(head)
+    if size > most:
+        raise MessageError(f"a message of {size} bytes; at most {most} are taken")
     data = pipe.read(size)
     if len(data) < size:
         return None
     message = io.BytesIO(data)
-    names = json.loads(str(np.load(message, allow_pickle=False)))
-    return {name: np.load(message, allow_pickle=False) for name in names}
+    try:
+        names = json.loads(str(np.load(message, allow_pickle=False)))
+        return {str(name): np.load(message, allow_pickle=False) for name in names}
+    except (ValueError, TypeError, EOFError, OverflowError, MemoryError, RecursionError) as error:
+        raise MessageError("bytes that are no message") from error

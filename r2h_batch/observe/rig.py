@@ -16,7 +16,7 @@ from torch import Tensor
 
 from r2h_batch.base.errors import FileError, UsageError, nearest
 from r2h_batch.base.io.read import printable, read_file
-from r2h_batch.base.validate import rule_of
+from r2h_batch.base.validate import describe_value, rule_of
 
 _Coordinate = Annotated[float, Field(ge=-5, le=5, allow_inf_nan=False)]
 _Point = Annotated[tuple[_Coordinate, ...], Field(min_length=3, max_length=3)]
@@ -196,7 +196,11 @@ def load_rig(name: str | Path) -> Rig:
     except pydantic.ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"])) or "the file"
-        found = "" if first["type"] == "missing" else f" is {printable(repr(first['input']))[:60]}"
+        found = (
+            ""
+            if first["type"] == "missing"
+            else f" is {printable(describe_value(first['input']))[:60]}"
+        )
         rule = "it is needed" if first["type"] == "missing" else rule_of(first)
         raise FileError(f"{printable(path)}: {where}{found}; {rule}") from None
     names = [c.name for c in rig.cameras]

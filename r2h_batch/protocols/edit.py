@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import path_within, printable
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.validate import parse_number
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.people import people_hand, people_hand_set
 from r2h_batch.protocols.benchmark import WITH_PEOPLE, Benchmark
@@ -242,7 +243,7 @@ def frame_of(turn: str) -> NDArray[np.float64]:
     if turn in FRAMES:
         return FRAMES[turn]
     try:
-        angles = np.array([float(angle) for angle in turn.split(",")])
+        angles = np.array([parse_number(angle) for angle in turn.split(",")])
     except ValueError:
         angles = np.array([])
     if len(angles) != 3 or not (np.abs(angles) <= 360).all():

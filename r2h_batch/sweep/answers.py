@@ -19,7 +19,7 @@ from torch import Tensor
 from r2h_batch.base.errors import UsageError, UserError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.user_code import raised
+from r2h_batch.base.user_code import raised, text_of
 from r2h_batch.base.validate_tensors import as_numbers, check_tensor
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
@@ -202,7 +202,7 @@ device 'cuda:0'")."""
 
 def device_trouble(error: BaseException) -> str | None:
     """The first line of an error that speaks of the GPU; None for every other error."""
-    text = str(error).strip()
+    text = text_of(error).strip()
     of_torch = isinstance(error, (torch.OutOfMemoryError, torch.AcceleratorError))
     says_so = isinstance(error, (RuntimeError, AssertionError)) and _OF_DEVICE.search(text)
     if not of_torch and not says_so:

@@ -204,16 +204,27 @@ def score_shard(
         advance(last - first)
 
 
-def _check_judge(name: str, before: Mapping[str, object]) -> None:
-    """`AnswerError` if a method has put something else into the evaluator's class while it answered.
+def _functions_of(evaluator: Evaluator) -> dict[str, object]:
+    """What an evaluator's names call: of its classes, and what hides one of these in the evaluator itself."""
+    kinds = dict.fromkeys((*Evaluator.__mro__, *type(evaluator).__mro__))
+    own = {f"{kind.__name__}.{k}": v for kind in kinds for k, v in vars(kind).items()}
+    hiding = {
+        k: v for k, v in vars(evaluator).items() if callable(getattr(type(evaluator), k, None))
+    }
+    return own | {f"{type(evaluator).__name__}.{k}": v for k, v in hiding.items()}
+
+
+def _check_judge(name: str, evaluator: Evaluator, before: Mapping[str, object]) -> None:
+    """`AnswerError` if a method has put another function into the evaluator or its classes while it answered.
 
     Args:
         name: of the method.
-        before: the class's attributes when it was asked.
+        evaluator: that judges its answers.
+        before: `_functions_of` it when the method was asked.
     """
-    changed = [k for k, own in vars(Evaluator).items() if own is not before.get(k)]
+    changed = [k for k, own in _functions_of(evaluator).items() if own is not before.get(k)]
     if changed:
-        words = f"it replaced Evaluator.{changed[0]}; a method may not change what judges it"
+        words = f"it replaced {changed[0]}; a method may not change what judges it"
         raise AnswerError(f"method {printable(name)}: {words}")
 
 
@@ -234,9 +245,9 @@ def _score_chunk(
         if chosen.any():
             own = None if rows is None else rows[chosen]
             part = trials[chosen].to(evaluator.scene.device)
-            judge = dict(vars(Evaluator))
+            judge = _functions_of(evaluator)
             answers = job.predict(part, own).to(part.trial_id.device)
-            _check_judge(job.name, judge)
+            _check_judge(job.name, evaluator, judge)
             motions = None
             if chosen is moved and job.motions is not None and own is not None:
                 motions = job.motions.padded(own, evaluator.scene.device)

@@ -13,6 +13,7 @@ from safetensors.torch import save
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.base.errors import FileError
 from r2h_batch.learning.pairs import Pairs
 from r2h_batch.learning.rank import CHECKPOINT, WEIGHTS, Recipe, Training, train_ranker
 from r2h_batch.methods.ranker import features
@@ -53,6 +54,19 @@ def test_mined_pairs_are_the_best_of_each_round_and_are_judged(pairs):
     assert torch.equal(scores.success.view(12, 8), item["success"])
     with pytest.raises(ValueError, match="first is 4; an item holds 8 pairs"):
         mine(pairs, height, first=4)
+
+
+@pytest.mark.parametrize(
+    "kept",
+    [b"no such thing", b"", b"as it was\n", {"recipe": 3}, {"x": torch.zeros(3)}, [1, 2]],
+    ids=["words", "nothing", "a line", "another recipe", "another state", "a list"],
+)
+def test_a_checkpoint_that_is_none_is_refused_in_one_line(kept, tmp_path):
+    path = tmp_path / CHECKPOINT
+    path.write_bytes(kept) if isinstance(kept, bytes) else torch.save(kept, path)
+    with pytest.raises(FileError, match=CHECKPOINT) as refused:
+        train_ranker(load_benchmark(), SMALL, tmp_path, tell=lambda s: None)
+    assert "\n" not in str(refused.value) and "give another --out" in str(refused.value)
 
 
 def test_an_interrupted_training_goes_on_with_the_same_bits_and_another_recipe_is_refused(tmp_path, monkeypatch):

@@ -24,6 +24,7 @@ from r2h_batch.training import Seen, stream
 from r2h_batch.types import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
+EXACT = "donot_use_mm_for_euclid_dist"
 SIZES = {"pairs": 3, "trials": 6}
 
 
@@ -84,14 +85,46 @@ def test_what_is_seen_is_what_the_methods_are_given(pairs):
     hand, parts = predict_target(trials, scene), predict_parts(trials, scene)
     assert torch.equal(item["T_world_hand"], hand.T_world_hand) and torch.equal(item["palm_normal"], hand.palm_normal)
     assert not torch.equal(hand.T_world_hand, trials.T_world_hand)
-    assert torch.equal(item["region"], parts.usage[:, :96]) and torch.equal(item["part"], parts.label[:, :96])
-    near = torch.cdist(item["hand"], hand.vertices, compute_mode="donot_use_mm_for_euclid_dist").amin(2)
+    clouds = [torch.tensor(pairs.objects[o].points, dtype=torch.float64) for o in item["object_index"].tolist()]
+    own = torch.stack(  # which points of the object they are
+        [
+            torch.cdist(few.double(), every, compute_mode=EXACT).argmin(1)
+            for few, every in zip(item["cloud"], clouds, strict=True)
+        ]
+    )
+    assert torch.equal(item["region"], parts.usage.gather(1, own)) and torch.equal(
+        item["part"], parts.label.gather(1, own)
+    )
+    near = torch.cdist(item["hand"], hand.vertices, compute_mode=EXACT).amin(2)
     assert item["hand"].shape == (6, 64, 3) and near.max() < 1e-5
     for n in each(range(6)):
         model = pairs.objects[int(item["object_index"][n])]
-        assert torch.equal(item["cloud"][n], torch.from_numpy(model.points[:96].copy()))
+        assert torch.equal(item["cloud"][n], torch.tensor(model.points)[own[n]])
+        assert torch.equal(item["normals"][n], torch.tensor(model.normals)[own[n]])
         chosen = item["candidates"][n][item["pick"][n]]
         assert torch.equal(chosen, item["T_obj_ee"][n]) and item["exists"][n][item["pick"][n]].all()
+
+
+def test_a_small_cloud_is_of_the_whole_object_and_begins_a_larger_one():
+    clouds = [stream(load_benchmark(), FAMILIES, see=Seen(cloud=c), **SIZES).item(1) for c in (64, 256)]
+    assert torch.equal(clouds[0]["cloud"], clouds[1]["cloud"][:, :64])
+    assert torch.equal(clouds[0]["region"], clouds[1]["region"][:, :64])
+    objects = training_objects(load_benchmark(), FAMILIES)
+    shares = []
+    for n in each(range(6)):
+        model = objects[int(clouds[0]["object_index"][n])]
+        every = torch.tensor(model.points)
+        sides = every.amax(0) - every.amin(0)
+        few = clouds[0]["cloud"][n]
+        assert ((few.amax(0) - few.amin(0)) / sides).min() > 0.7
+        assert torch.cdist(every, few).amin(1).max() < 0.3 * sides.norm()
+        shares.append(float(clouds[1]["region"][n].float().mean()))
+        if model.receiver_face is not None and model.split == "S1":
+            assert abs(shares[-1] - model.receiver_face[model.point_face].mean()) < 0.15
+    assert max(shares) > 0.15
+    piece = stream(load_benchmark(), FAMILIES, see=Seen(cloud=64, spread=False), **SIZES).item(1)
+    first = [objects[o].points[:64] for o in piece["object_index"].tolist()]
+    assert np.array_equal(piece["cloud"].numpy(), np.stack(first))
 
 
 def test_poses_bring_the_objects_middle_to_the_palm_from_behind(pairs):

@@ -174,6 +174,49 @@ def test_what_a_method_does_wrong_is_said_in_one_line(text, words, tmp_path):
     assert words in str(refused.value) and "\n" not in str(refused.value)
 
 
+WRITES = """
+import io
+import os
+import struct
+
+import numpy as np
+
+
+def message(*names):
+    file = io.BytesIO()
+    for array in (np.array(str(list(names)).replace("'", '"')), *(np.zeros((2, 4, 4)) for _ in names)):
+        np.save(file, array)
+    return struct.pack("<Q", file.tell()) + file.getvalue()
+
+
+def predict(seen):
+    for fd in range(3, 64):
+        try:
+            os.write(fd, {words})
+        except OSError:
+            pass
+"""
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("b'\\xff' * 64", "its process wrote a message of 18446744073709551615 bytes; at most"),
+        ("struct.pack('<Q', 50) + b'x' * 50", "its process wrote bytes that are no message"),
+        (
+            "message('T_world_grasp', 'T_world_ee', 't_method_s')",
+            "its process wrote T_world_grasp as (2, 4, 4) float64",
+        ),
+        ("message('x')", "its process wrote T_world_grasp as (0,) object"),
+    ],
+)
+def test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_process_ends(words, said, tmp_path):
+    apart = Apart(method(tmp_path, WRITES.replace("{words}", words)), {}, 1)
+    with pytest.raises(UserError) as refused:
+        apart.ask(view())
+    assert said in str(refused.value) and "\n" not in str(refused.value) and apart.process_id is None
+
+
 def test_a_process_that_was_killed_is_started_anew_and_one_that_nobody_asks_ends(tmp_path):
     from alive import alive
 

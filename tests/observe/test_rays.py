@@ -203,6 +203,10 @@ BAD = {
     ),
     "looks up or down": ('[[cameras]]\nname = "a"\nposition = [0, 0, 1]\ntarget = [0, 0, 0]\n', "1 cm"),
     "cameras": ("width = 640\n", "needed"),
+    "x is a dict": (
+        f'[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n[{".".join(["x"] * 10_000)}]\ny = 1\n',
+        "too deep to read",
+    ),
     "focus": ('focus = 3\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n', "focus"),
 }
 

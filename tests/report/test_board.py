@@ -140,8 +140,8 @@ def moved_by(metres):
     return change
 
 
-@pytest.mark.parametrize(("metres", "share"), [(0.0, 1.0), (0.0009, 1.0), (0.0011, 0.0)])
-def test_answers_within_a_millimetre_of_shipped_ones_are_named_and_have_no_place(folders, tmp_path, metres, share):
+@pytest.mark.parametrize(("metres", "share"), [(0.0, 1.0), (0.0011, 1.0), (0.0199, 1.0), (0.0201, 0.0)])
+def test_shipped_answers_that_are_moved_a_little_are_named_and_have_no_place(folders, tmp_path, metres, share):
     shutil.copytree(SHIPPED / "r2h-v2", copy := tmp_path / "theirs")
     for path in files_of(copy, "oracle"):
         forge(path, moved_by(metres), "poses")
@@ -155,6 +155,26 @@ def test_answers_within_a_millimetre_of_shipped_ones_are_named_and_have_no_place
     assert (place == "n/a") == bool(share) and ("shipped answers: all answers of oracle" in text) == bool(share)
     again = standing_of(run, "whole", "long", Judged(120, 60, 60, True), base, common_trials([base, run]), found)
     assert again.answers == {}  # built in, and answered again
+
+
+@pytest.mark.parametrize(("degrees", "metres", "share"), [(7.9, 0.019, 1.0), (8.1, 0.019, 0.0), (8.1, 0.0005, 1.0)])
+def test_a_shipped_answer_may_turn_the_object_by_less_than_8_degrees_where_it_is_moved(
+    tmp_path, degrees, metres, share
+):
+    shutil.copytree(SHIPPED / "r2h-v2", copy := tmp_path / "theirs")
+    angle = np.radians(degrees)
+    R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
+
+    def change(table):
+        T = np.array(table["T_world_ee"].to_pylist(), np.float64).reshape(-1, 4, 4)
+        T[:, :3, :3], T[:, 0, 3] = R @ T[:, :3, :3], T[:, 0, 3] + metres
+        field = table.schema.field("T_world_ee")
+        column = pa.array(T.reshape(-1, 16).astype(np.float32).tolist(), field.type)
+        return table.set_column(table.column_names.index("T_world_ee"), field, column)
+
+    for path in files_of(copy, "oracle"):
+        forge(path, change, "poses")
+    assert answers_of_shipped(results.load_run(copy), "oracle") == ({"oracle": 1.0} if share else {})
 
 
 def test_no_shipped_method_has_the_answers_of_another_one():

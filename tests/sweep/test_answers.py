@@ -53,6 +53,10 @@ WRONG = {
         "trial_id differs from that of the 4 trials",
     ),
     "the end of the program": (lambda t: sys.exit(0), r"SystemExit: 0 \(.*test_answers.py, line \d+\)"),
+    "an error that does not say what it is": (
+        lambda t: raise_(type("Silent", (RuntimeError,), {"__str__": lambda self: 1 / 0})()),
+        "Silent: an error whose text cannot be had",
+    ),
     "an error of no kind": (lambda t: raise_(BaseException("mine")), "BaseException: mine"),
     "its own error": (lambda t: [][0], r"IndexError: list index out of range \(.*test_answers.py, line \d+\)"),
 }

@@ -145,7 +145,7 @@ def test_turned_objects_have_the_same_trials(protocol):
         assert np.isclose(np.linalg.det(R), 1) and object_digest(other.objects[3]) != object_digest(own.objects[3])
 
 
-@pytest.mark.parametrize("word", ["halff", "1,2", "1,2,nan", "1,2,400", "a,b,c"])
+@pytest.mark.parametrize("word", ["halff", "1,2", "1,2,nan", "1,2,400", "a,b,c", "\u0661,2,3", "1_0,2,3"])
 def test_an_invalid_turn_is_refused_before_anything_is_scored(run, capsys, word):
     assert command("turn", run / "run", "--by", word) == 2
     assert "give half, cycled, or degrees about x, y and z" in capsys.readouterr().err

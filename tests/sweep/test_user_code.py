@@ -97,13 +97,24 @@ def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refus
     assert "uc_rules.py imports uc_helper, and " in error and "rename one of them" in error and error.count("\n") == 1
 
 
-def test_a_method_that_changes_what_judges_it_is_refused_in_one_line(place, monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("change", "replaced"),
+    [
+        ("Evaluator.score = lambda *a, **k: None", "Evaluator.score"),
+        (
+            "[setattr(e, 'score', len) for e in gc.get_objects() if type(e).__name__ == 'FakeEvaluator']",
+            "FakeEvaluator.score",
+        ),
+    ],
+    ids=["in its class", "in itself"],
+)
+def test_a_method_that_changes_what_judges_it_is_refused_in_one_line(change, replaced, place, monkeypatch, capsys):
     from r2h_batch.evaluate import Evaluator
 
     monkeypatch.setattr(Evaluator, "score", Evaluator.score)  # put back at the end
-    lines = ["from r2h_batch.evaluate import Evaluator", "def predict(trials, scene, *, seed):"]
+    lines = ["import gc", "from r2h_batch.evaluate import Evaluator", "def predict(trials, scene, *, seed):"]
     lines += [
-        "    Evaluator.score = lambda *a, **k: None",
+        f"    {change}",
         "    T = torch.eye(4).repeat(len(trials), 1, 1)",
         "    return T, T",
     ]
@@ -112,4 +123,4 @@ def test_a_method_that_changes_what_judges_it_is_refused_in_one_line(place, monk
     assert sweep.main(words) == 2
     error = capsys.readouterr().err
     assert "Traceback" not in error
-    assert "method uc_evil:predict: it replaced Evaluator.score; a method may not change what judges it" in error
+    assert f"method uc_evil:predict: it replaced {replaced}; a method may not change what judges it" in error

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float32, UInt8
+from jaxtyping import Bool, Float32, Int64, UInt8
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
@@ -48,7 +48,7 @@ def predict_parts(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
-    points: int | None = None,
+    points: Int64[Tensor, " p"] | None = None,
 ) -> SeenParts:
     """Part label and region of every cloud point, borders shifted along the surface.
 
@@ -61,7 +61,7 @@ def predict_parts(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: deviations of the error model; None: `PredictorNoise()`.
         seen: answers of your own network instead.
-        points: of each cloud, so many of the first points; None: all.
+        points: numbers of the points of each cloud that are asked for; None: all.
 
     Returns:
         (N, P) labels, and whether each point belongs to the receiver's region.
@@ -69,31 +69,34 @@ def predict_parts(
     noise = PredictorNoise() if noise is None else noise
     device = trials.trial_id.device
     if seen is not None and seen.parts is not None:
-        given = {k: v[:, :points].to(device) for k, v in seen.parts.of(trials).items()}
+        some = slice(None) if points is None else points
+        given = {k: v[:, some].to(device) for k, v in seen.parts.of(trials).items()}
         nothing = torch.zeros_like(next(iter(given.values())))
         usage = given.get("usage", nothing).to(torch.bool)
         return SeenParts(given.get("label", nothing), usage, given.get("role"))
     clouds = _clouds(scene.objects)
     at = trials.object_index.cpu().long()
+    if points is None:
+        points = torch.arange(clouds.label.shape[1], dtype=torch.int64, device="cpu")
     if noise.border_m == 0:
-        return _split(clouds.label[at, :points], device)
+        return _split(clouds.label[at[:, None], points], device)
     ids, key = trial_ids(trials.trial_id), rng.key_of(f"parts {seed}")
     z = torch.from_numpy(normals(key, ids, WAVES, purpose=_PARTS).astype(np.float32))
     z = z * (noise.border_m * (2.0 / WAVES) ** 0.5)
-    found = torch.empty((len(at), len(clouds.label[0, :points])), dtype=torch.uint8, device="cpu")
+    found = torch.empty((len(at), len(points)), dtype=torch.uint8, device="cpu")
     for first in range(0, len(at), _CHUNK):
         rows = slice(first, first + _CHUNK)
-        found[rows] = _shifted(clouds, at[rows], z[:, rows], found.shape[1])
+        found[rows] = _shifted(clouds, at[rows], z[:, rows], points)
     return _split(found, device)
 
 
-def _shifted(clouds: _Clouds, at: Tensor, z: Tensor, points: int) -> Tensor:
-    """Labels of the first points of objects `at` with the waves' amplitudes z (k, n) in metres."""
+def _shifted(clouds: _Clouds, at: Tensor, z: Tensor, points: Tensor) -> Tensor:
+    """Labels of these points of objects `at` with the waves' amplitudes z (k, n) in metres."""
 
     def own(x: Tensor) -> Tensor:
-        return x[..., :points][at]
+        return x[:, points][at]
 
-    shift = torch.zeros((len(at), points), dtype=torch.float32, device="cpu")
+    shift = torch.zeros((len(at), len(points)), dtype=torch.float32, device="cpu")
     for k in range(WAVES):
         shift = shift + z[k][:, None] * own(clouds.wave[:, k])
     moved = own(clouds.offset) + own(clouds.sign) * shift < 0

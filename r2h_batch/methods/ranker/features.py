@@ -16,6 +16,8 @@ from r2h_batch.verdicts import SIDES
 
 SEE = Seen(cloud=256, hand=48)
 """The points that the ranker looks at."""
+SPREAD = "spread"
+"""Weights say so of the clouds that they learned from: `Seen.spread`."""
 POINTS = 64
 """Points of the cloud that the network and the pair's distances go through; the fingers' distances go through all."""
 CLOUD, CANDIDATE, PAIR = 8, 9, 58

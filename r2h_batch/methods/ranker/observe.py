@@ -20,7 +20,7 @@ from r2h_batch.methods.predictors import (
     predict_parts,
     predict_target,
 )
-from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.objects import POINTS, ObjectModel
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -30,22 +30,25 @@ class Seen:
     """How much of a trial is seen.
 
     Attributes:
-        cloud: points of the object, at most 2048.
+        cloud: points of the object, at most 2048, spread evenly over its surface. A smaller cloud begins a larger one.
         hand: points of the estimated hand's skin.
         contacts: whether each point has the probability that people touch it, as Contact-Handover sees it; new instances
             cost a network's answer each, which is kept on disk.
         noise: deviations of the error model; None: those that methods are tested with.
+        spread: False: the cloud's first points, which lie on one piece of the surface. Weights of before learned from these.
     """
 
     cloud: int = 96
     hand: int = 64
     contacts: bool = False
     noise: PredictorNoise | None = None
+    spread: bool = True
 
     def __post_init__(self) -> None:
-        integer(1, 2048)("cloud", self.cloud)
+        integer(1, POINTS)("cloud", self.cloud)
         integer(1)("hand", self.hand)
         boolean("contacts", self.contacts)
+        boolean("spread", self.spread)
         optional(instance_of(PredictorNoise, "PredictorNoise(...)"))("noise", self.noise)
 
 
@@ -73,11 +76,16 @@ def observe(
     """
     o = trials.object_index.long()
     hand = predict_target(trials, scene, seed=seed, noise=see.noise, seen=seen)
-    parts = predict_parts(trials, scene, seed=seed, noise=see.noise, seen=seen, points=see.cloud)
+    points = (
+        _spread(see.cloud)
+        if see.spread
+        else torch.arange(see.cloud, dtype=torch.int64, device="cpu")
+    )
+    parts = predict_parts(trials, scene, seed=seed, noise=see.noise, seen=seen, points=points)
     last = hand.bank.vertices.shape[1] - 1
     every = torch.linspace(0, last, see.hand, dtype=torch.float64, device="cpu").long()
     skin = hand.bank.vertices[:, every][hand.row]
-    cloud, normals = (x[o] for x in _clouds(scene.objects, see.cloud))
+    cloud, normals = (x[o] for x in _clouds(scene.objects, see.cloud, see.spread))
     usage = parts.usage.contiguous()
     if not region:
         usage = torch.zeros_like(usage)
@@ -94,16 +102,26 @@ def observe(
     }  # fmt: skip
     if see.contacts:
         contact = predict_contacts(trials, scene, seed=seed, seen=seen)
-        found["contact"] = contact[:, : see.cloud].contiguous()
+        found["contact"] = contact[:, points].contiguous()
     return found, torch.where(count > 0, mean, _middles(scene.objects)[o])
 
 
 @lru_cache(maxsize=4)
-def _clouds(objects: Sequence[ObjectModel], count: int) -> tuple[Tensor, Tensor]:
-    """The first points (O, P, 3) and normals of each cloud: themselves a sample of the surface by area."""
-    every = [np.stack([getattr(o, k)[:count] for o in objects]) for k in ("points", "normals")]
+def _clouds(objects: Sequence[ObjectModel], count: int, spread: bool) -> tuple[Tensor, Tensor]:
+    """Points (O, P, 3) of each cloud and their normals."""
+    some = _spread(count).numpy() if spread else slice(count)
+    every = [np.stack([getattr(o, k)[some] for o in objects]) for k in ("points", "normals")]
     points, normals = (torch.from_numpy(x) for x in every)
     return points, normals
+
+
+@lru_cache(maxsize=4)
+def _spread(count: int) -> Tensor:
+    """Numbers of `count` points of a cloud in bit-reversed order (van der Corput): a cloud is in the order of its faces, so that
+    points far apart in it are far apart on the surface, and the first of these are a coarser sample of the same."""
+    bits = POINTS.bit_length() - 1  # of a power of two
+    order = [int(f"{k:0{bits}b}"[::-1], 2) for k in range(count)]
+    return torch.tensor(order, dtype=torch.int64, device="cpu")
 
 
 @lru_cache(maxsize=4)

@@ -8,6 +8,7 @@ field for (the hand's posture, the faces of the receiver's region) stands in `pr
 import csv
 import json
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -184,6 +185,37 @@ def _box(center: Array, half: Array, label: str, R: Array = NOT_TURNED) -> dict[
 def release_name(method: str, trial_id: int) -> str:
     """An id that the release allows: letters, digits, - and _."""
     return f"{re.sub(r'[^A-Za-z0-9_-]+', '_', method)[:60]}_{trial_id}"
+
+
+_ID = re.compile(r"[A-Za-z0-9_-]{1,200}")
+"""What the release takes as a trial's id; files are called after it."""
+_OTHER_FILES = ("results", "paper_table")
+
+
+def release_names(
+    ids: Sequence[int], method: str, labels: Mapping[int, tuple[str, str]]
+) -> dict[int, tuple[str, str]]:
+    """Trial id -> its id in the release's files, and the method behind it.
+
+    The text of the trials' owner stays, where it is an id of the release, no other trial's and no other file's. Else a new
+    id is made: a run folder is a stranger's, and its texts may lead out of the folder.
+
+    Args:
+        ids: of the trials.
+        method: name in the run.
+        labels: trial id -> its owner's text, and the method behind it, as `Run.labels`.
+    """
+    times = Counter(text.casefold() for text, _ in labels.values()) + Counter(_OTHER_FILES)
+    names = {}
+    for i in ids:
+        text, variant = labels.get(i, ("", ""))
+        own = _ID.fullmatch(text) and times[text.casefold()] == 1
+        names[i] = (text if own else release_name(method, i), variant or method)
+    if len({text.casefold() for text, _ in names.values()}) < len(
+        names
+    ):  # an owner's text is a made one
+        return {i: (release_name(method, i), variant) for i, (_, variant) in names.items()}
+    return names
 
 
 _FLAGS = {c: f"passed_{c}" for c in CRITERIA}

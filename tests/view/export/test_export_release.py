@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from sweep_command import in_process
 from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
 from r2h_batch.verdicts import CRITERIA
-from r2h_batch.view.export.release import write_release_results
+from r2h_batch.view.export.release import release_names, write_release_results
 
 
 @pytest.fixture(scope="module")
@@ -53,6 +54,38 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
                 if own[i][f"margin_{name}_m"] is not None:
                     atol = 2e-6 if name in ("stability", "reach", "affordance") else 2e-3  # between 60 Hz samples
                     assert row[f"margin_{name}_m"] == pytest.approx(own[i][f"margin_{name}_m"], abs=atol)
+
+
+ODD_TEXTS = {
+    "a way out": "../../outside",
+    "an absolute place": "/tmp/x",
+    "an odd letter": "a b",
+    "nothing": "",
+    "200 letters too many": "x" * 400,
+    "another file of the folder": "Results",
+}
+
+
+@pytest.mark.parametrize("text", ODD_TEXTS.values(), ids=ODD_TEXTS)
+def test_a_text_that_is_no_id_of_the_release_gets_another_one_and_nothing_lies_beside_the_folder(text):
+    names = release_names([0, 2], "or/acle", {0: (text, ""), 2: ("fine-1", "theirs")})
+    assert names == {0: ("or_acle_0", "or/acle"), 2: ("fine-1", "theirs")}
+
+
+def test_no_two_trials_of_an_export_have_one_file():
+    twice = release_names([0, 2], "a", {0: ("x", ""), 2: ("X", "")})
+    made = release_names([0, 2], "a", {0: ("a_2", ""), 2: ("?", "")})
+    assert {t for t, _ in twice.values()} == {t for t, _ in made.values()} == {"a_0", "a_2"}
+
+
+def test_the_export_of_a_strangers_run_stays_in_its_folder(run, tmp_path):
+    copy = tmp_path / "a" / "run"
+    shutil.copytree(run, copy)
+    ids = [r["trial_id"] for r in load_run(copy).trials("oracle").to_pylist()]
+    (copy / "ids.csv").write_text("trial_id,id,variant\n" + "".join(f"{i},../../out/{i},x\n" for i in ids))
+    line = ["--to", "r2handoversim", "--benchmark", "r2h-v1", "--method", "oracle", "--trials", "1"]
+    assert main(["export", str(copy), *line, "--out", str(tmp_path / "a" / "files")]) == 0
+    assert not (tmp_path / "out").exists() and len([*(tmp_path / "a" / "files").glob("oracle_*.json")]) == 2
 
 
 def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
