@@ -18,6 +18,7 @@ MEASURES = (
 
 def measure() -> Report:
     """Judges the rows again, and collects the means."""
+    from r2h_batch.protocols.choice import BenchmarkChoice
     from r2h_batch.report.table import record, table_of
     from r2h_batch.report.text import short_names
     from r2h_batch.report.viewed import mean_share
@@ -26,7 +27,7 @@ def measure() -> Report:
     from r2h_batch.sweep.results.viewed import HIDERS, viewed_rows
 
     report, run = Report(MEASURES), load_run(RUN)
-    judge, names = judge_of_bodies(run, None, "cpu")
+    judge, names = judge_of_bodies(run, BenchmarkChoice(), "cpu")
     short = short_names(names)
     presented = {row.method: record(row)["presented"] for row in table_of(run).rows if row.split == "S1"}
     for name in names:
