@@ -303,8 +303,8 @@ MUTATIONS = (
     Mutation(
         "lift: there is no table",
         "r2h_batch/judge/lift_physics.py",
-        "size=HALF_M, contype=1",
-        "size=HALF_M, contype=0",
+        "contype=1, conaffinity=2, condim=CONDIM",
+        "contype=0, conaffinity=0, condim=CONDIM",
         (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
     ),
     Mutation(
