@@ -87,20 +87,24 @@ def sound() -> Path:
     return folder
 
 
+def small_run() -> Path:
+    """A run of six random rows on r2h-v1."""
+    return swept("small", "--benchmark r2h-v1 --method random --trials 3 --save-paths")
+
+
 def small(place: Place, name: str = "run") -> Path:
-    """A copy of a run of six random rows on r2h-v1."""
-    return Path(
-        shutil.copytree(swept("small", "--benchmark r2h-v1 --method random --trials 3 --save-paths"), place.work / name)
-    )
+    """A copy of the small run."""
+    return Path(shutil.copytree(small_run(), place.work / name))
+
+
+def solved_run() -> Path:
+    """A run with paths, of two methods on four trials of r2h-v1."""
+    return swept("solved", "--benchmark r2h-v1 --method oracle random --trials 2 --save-paths")
 
 
 def solved(place: Place, name: str = "run") -> Path:
-    """A copy of a run with paths, of two methods on four trials of r2h-v1."""
-    return Path(
-        shutil.copytree(
-            swept("solved", "--benchmark r2h-v1 --method oracle random --trials 2 --save-paths"), place.work / name
-        )
-    )
+    """A copy of the solved run."""
+    return Path(shutil.copytree(solved_run(), place.work / name))
 
 
 def ranked() -> Path:
@@ -242,10 +246,13 @@ def ran(one: Command, place: Place, folder: Path) -> Ended:
     said, told = ((folder / name).read_text(errors="backslashreplace") for name in ("said", "told"))
     if "Traceback (most recent call last)" in said + told:
         how = "traceback"
+    if how == "crash (130)":
+        how = "refused"  # as an interruption: no row is stored
     if how == "refused":
         lines = [x for x in said.strip().splitlines() if not PROGRESS.search(x)]
         names = {"attack"} if callable(one) else {one[0], " ".join(one[:2]), "r2h-batch"}
         own = [x for x in lines if x.split(":")[0] in names]
+        own = own or told.strip().splitlines()[-1:]  # `verify` and `reevaluate` answer: exit 1 is their answer
         if not own or len(own) > MOST_LINES or max(map(len, own)) > MOST_LETTERS:
             how = f"refused in {len(own)} lines of {max(map(len, own), default=0)} letters at most"
     return Ended(how, round(time.monotonic() - start, 2), max(0, peak - round(before)), said, told)

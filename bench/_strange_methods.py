@@ -155,9 +155,6 @@ PATCHES: dict[str, str] = {
     import warp
     warp.launch = lambda *a, **k: None
 """,
-    "torch's where": """
-    torch.where = lambda c, a=None, b=None: a
-""",
     "the table of Parquet": """
     import pyarrow.parquet as pq
     write = pq.write_table
@@ -229,6 +226,7 @@ ENDS: dict[str, str] = {
     "it warns with escapes": "import warnings; warnings.warn('a\\x1b[2J\\nb'); return answer(trials)",
 }
 NOT_SAME = (
+    "it answers by broadcasting",
     "it answers in another order",
     "its answer depends on the call",
     "it writes into the run",

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from _attack import Attack, Command, Ended, Place, small, swept
+from _attack import Attack, Command, Ended, Place, small, small_run
 from _strange_answers import write_npz
 
 MORE = [
@@ -140,7 +140,7 @@ def stored_again(place: Place, ended: Ended) -> str:
 
     if ended.how != "read":
         return ""
-    sound = load_run(swept("small", "--benchmark r2h-v1 --method random --trials 3 --save-paths"))
+    sound = load_run(small_run())
     return "" if load_run(place.work / "run").digest("random") == sound.digest("random") else "other rows"
 
 

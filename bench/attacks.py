@@ -876,7 +876,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         " Memory: of the process that reads, or of the largest that it starts, beyond what the bench itself has (under 1 GiB).",
         f"Damage: {'; '.join(names)}.",
     ]
-    return "\n\n".join(parts) + "\n"
+    _, mark, strangers = PAGE.read_text().partition("## Attacks of a stranger")  # bench/strangers.py writes it
+    return "\n\n".join([*parts, f"{mark}{strangers}".strip()]).rstrip() + "\n"
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
 """Whether grasps that Pick accepts lift the object in a simulation with a table: docs/results/lift.md.
 
-`python bench/lift.py` takes shipped rows of r2h-v2: the first that Pick accepts, and all that it refuses because closing would
-push the object into the table. MuJoCo C closes the fingers on the object where it rests, and table and gripper part. `--render`
-writes the page again from the JSON.
+`python bench/lift.py` takes shipped rows of r2h-v2, the first that Pick accepts. MuJoCo C closes the fingers on the object where
+it rests, and table and gripper part. `--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -41,9 +40,6 @@ The first {taken} grasps of each method that Pick accepts, among its first {look
 Together {held} of {n} are held. Not held: {lost}. Closing moves the object by {moved_median:.1f} mm (median; 95 %: at most
 {moved_most:.1f} mm), and held objects slip by {slip_median:.1f} mm (median).
 
-Pick refuses {refused} of the {asked} grasps because closing would push the object into the table. Geometry cannot say what the
-fingers do then. In the simulation {refused_held} of these are held.
-
 No verdict depends on this simulation. [`results held`](../transfer.md#physically-stable) asks what closing and weight do to a
 grasp without a table.
 """
@@ -52,11 +48,10 @@ grasp without a table.
 def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     """All figures of the page."""
     from r2h_batch.judge.lift_physics import lift_in_physics
-    from r2h_batch.judge.pick import PickReason, picked
+    from r2h_batch.judge.pick import picked
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reevaluation import Judge
-    from r2h_batch.types import CollidingPair
 
     run = load_run(RUN)
     judge = Judge(run)
@@ -69,8 +64,7 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
         grasps = torch.tensor([r["T_obj_ee"] for r in poses], dtype=torch.float32).reshape(-1, 4, 4)
         rests = moments(scene, trials)
         found = picked(scene, grasps, rests, trials)
-        pushed = (found.reason == PickReason.CLOSING_COLLIDES) & (found.pair == CollidingPair.OBJECT_TABLE)
-        some = torch.cat([found.picked.nonzero().flatten()[:TAKEN], pushed.nonzero().flatten()])
+        some = found.picked.nonzero().flatten()[:TAKEN]
         lifted = lift_in_physics(
             scene.objects, trials.object_index[some].numpy(), grasps[some].double().numpy(),
             rests[some].double().numpy(), scene.robot, table_m=place.table_center[2] + place.table_half[2],
@@ -81,14 +75,13 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
                     "method": entry.name,
                     "trial": poses[i]["trial_id"],
                     "object": scene.objects[int(trials.object_index[i])].name,
-                    "picked": bool(found.picked[i]),
                     "held": bool(lifted.held[k]),
                     "moved_m": float(lifted.moved_m[k]),
                     "slip_m": float(lifted.slip_m[k]),
                 }
             )
         print(entry.name, sum(r["held"] for r in rows), len(rows), flush=True)
-    return {"rows": rows, "asked": LOOKED_AT * len(run.entries), **made_by(MEASURES)}
+    return {"rows": rows, **made_by(MEASURES)}
 
 
 def markdown(data: Any) -> str:
@@ -96,9 +89,8 @@ def markdown(data: Any) -> str:
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
 
-    taken = [r for r in data["rows"] if r["picked"]]
-    refused = [r for r in data["rows"] if not r["picked"]]
-    names = list(dict.fromkeys(r["method"] for r in data["rows"]))
+    taken = data["rows"]
+    names = list(dict.fromkeys(r["method"] for r in taken))
     short, table = short_names(names), []
     for name in names:
         own = [r for r in taken if r["method"] == name]
@@ -106,7 +98,8 @@ def markdown(data: Any) -> str:
         low, high = wilson_interval(np.array(held), len(own))
         rate = f"{100 * held / len(own):.0f} ({100 * float(low):.0f}-{100 * float(high):.0f})"
         table.append([short[name], len(own), rate])
-    lost = Counter(r["object"].rpartition("_")[0].replace("_", " ") for r in taken if not r["held"])
+    category = [r["object"].rpartition("_")[0].replace("_", " ") for r in taken]
+    asked, lost = Counter(category), Counter(c for c, r in zip(category, taken, strict=True) if not r["held"])
     moved = 1e3 * np.array([r["moved_m"] for r in taken])
     slip = 1e3 * np.array([r["slip_m"] for r in taken if r["held"]])
     return HEAD.format(
@@ -117,13 +110,10 @@ def markdown(data: Any) -> str:
         methods=markdown_table(["", "grasps", "held, percent"], table),
         held=sum(r["held"] for r in taken),
         n=len(taken),
-        lost=", ".join(f"{n} of {k}" for k, n in lost.most_common()) or "none",
+        lost=", ".join(f"{k} {n} of {asked[k]}" for k, n in lost.most_common()) or "none",
         moved_median=np.median(moved),
         moved_most=np.quantile(moved, 0.95),
         slip_median=np.median(slip),
-        refused=len(refused),
-        asked=data["asked"],
-        refused_held=sum(r["held"] for r in refused),
     )
 
 

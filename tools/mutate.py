@@ -303,8 +303,8 @@ MUTATIONS = (
     Mutation(
         "lift: there is no table",
         "r2h_batch/judge/lift_physics.py",
-        "size=HALF_M, contype=1",
-        "size=HALF_M, contype=0",
+        "contype=1, conaffinity=2, condim=CONDIM",
+        "contype=0, conaffinity=0, condim=CONDIM",
         (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
     ),
     Mutation(
@@ -590,13 +590,13 @@ MUTATIONS = (
         "r2h_batch/base/user_code.py",
         "    except Exception:\n        return",
         "    except KeyError:\n        return",
-        ("tests/sweep/test_answers.py::test_a_wrong_answer_is_refused_and_the_line_names_the_method",),
+        ("tests/sweep/test_answers.py::test_an_answer_that_cannot_be_scored_names_method_and_argument",),
     ),
     Mutation(
         "user's code: a function in the evaluator itself is nobody's",
         "r2h_batch/sweep/scoring.py",
-        "if callable(getattr(type(evaluator), k, None))}",
-        "if False}",
+        "if callable(getattr(type(evaluator), k, None))",
+        "if False",
         ("tests/sweep/test_user_code.py::test_a_method_that_changes_what_judges_it_is_refused_in_one_line",),
     ),
     Mutation(
