@@ -22,10 +22,11 @@ MEASURES = (
     "kernels/plan",
     "r2h_batch/judge/least.py",
     "r2h_batch/judge/pick.py",
+    "r2h_batch/judge/straight_way.py",
     "r2h_batch/observe/moment.py",
     "r2h_batch/scene/resting.py",
 )
-TIMED = 256
+TIMED = 512
 CHECKED_FROM, CHECKED = 100, 10
 """Rows of each method that other code judges again: this many from this one on."""
 WHY_VA = """its grasps come from above, but with the pads about the middle of a thin thing the fingertips would have to reach into
@@ -51,8 +52,8 @@ An earlier prototype had 58 to 69 % for FC, Contact, Intent and the oracle, and 
 
 {categories}
 
-What the robot meets on the way in, percent of the trials. The pair is the one that decides the margin; where several meet, it
-is one of them.
+What the robot meets at the grasp and on the way in, percent of the trials. The pair is the one that decides the margin; where
+several meet, it is one of them.
 
 {met}
 
@@ -107,10 +108,10 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
 
     from _twins import PickTwin
 
-    from r2h_batch.judge.pick import Picked, PickReason, picked
+    from r2h_batch.judge.pick import Picked, picked
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results.picked import CAUSES, MET
+    from r2h_batch.sweep.results.picked import CAUSES, GOING_IN, MET
     from r2h_batch.sweep.results.reevaluation import Judge
     from r2h_batch.types import CollidingPair
 
@@ -136,7 +137,7 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
         found = picked(scene, grasp, T_world_obj, trials)
         got, reason = found.picked.numpy(), found.reason.numpy()
         pair = found.pair.numpy()
-        way = reason == PickReason.APPROACH_COLLIDES
+        way = np.isin(reason, GOING_IN)
         low = lowest_m(scene, found.T_world_ee.double().numpy())
         offs += found.off_m[found.picked].tolist()
         for i in range(CHECKED_FROM, CHECKED_FROM + CHECKED):

@@ -114,6 +114,9 @@ its module is imported here, so it may import this file and the standard library
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
 
+PAPER = tuple(entry.name for entry in REGISTRY if not entry.since)
+"""Those of the paper: files of the authors' release know no others."""
+
 MOST_SECONDS = 1e9
 """A stored time is at most this long (30 years): what is longer was made up."""
 

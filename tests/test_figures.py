@@ -25,7 +25,9 @@ APART = {
     "networks",
     "object_errors",
     "observe",
+    "observe_export",
     "sees",
+    "viewed",
 }
 APART |= {"meshes", "attacks", "strangers", "closing_angle", "pick"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}

@@ -122,6 +122,8 @@ T_LEAST_GRIP = (
 T_KEPT = f"{T_CAPACITY}::test_capacities_of_a_users_object_are_kept_for_its_hand_its_mesh_and_its_mass"
 SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
 PICK, LINE, T_PICK = "r2h_batch/judge/pick.py", "kernels/plan/line.py", "tests/judge/test_pick.py"
+STRAIGHT_WAY = "r2h_batch/judge/straight_way.py"
+T_LIFT = "tests/judge/test_lift_physics.py"
 T_FOLLOWED = f"{T_PICK}::test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits"
 T_OFF = f"{T_PICK}::test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed"
 T_LEAST = f"{T_PICK}::test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions"
@@ -216,16 +218,16 @@ MUTATIONS = (
     ),
     Mutation(
         "pick: the gripper backs off forwards",
-        PICK,
-        "-= m[:, None] * self.T_world_ee[:, None, :3, 2]",
-        "+= m[:, None] * self.T_world_ee[:, None, :3, 2]",
+        STRAIGHT_WAY,
+        "-= m[:, None] * T_world_ee[:, None, :3, 2]",
+        "+= m[:, None] * T_world_ee[:, None, :3, 2]",
         (T_WAYS,),
     ),
     Mutation(
         "pick: the arm lifts along the gripper",
-        PICK,
-        "T[:, STEPS + 1 :, 2, 3] += m",
-        "T[:, STEPS + 1 :, 1, 3] += m",
+        STRAIGHT_WAY,
+        "T[:, 1:, 2, 3] += m",
+        "T[:, 1:, 1, 3] += m",
         (T_WAYS,),
     ),
     Mutation(
@@ -238,8 +240,8 @@ MUTATIONS = (
     Mutation(
         "pick: nobody waits",
         PICK,
-        "if person and self.trials.receiver is not None:",
-        "if person and self.trials.receiver is None:",
+        "return with_person(self.scene, poses, self.trials.receiver, hand=True)",
+        "return poses",
         (f"{T_PICK}::test_a_person_in_the_way_makes_it_fail",),
     ),
     Mutation(
@@ -259,9 +261,30 @@ MUTATIONS = (
     Mutation(
         "pick: one free branch is enough for all",
         PICK,
-        "up = free & (lifted.clearance_m > 0)",
-        "up = lifted.clearance_m > -torch.inf",
+        "up = walked & (tried.lift.clearance_m > 0)",
+        "up = walked",
         (f"{T_PICK}::test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free",),
+    ),
+    Mutation(
+        "pick: the gripper at the grasp meets nothing",
+        PICK,
+        "met = touching.clearance_m <= 0",
+        "met = touching.clearance_m <= -9.0",
+        (T_SAMPLED,),
+    ),
+    Mutation(
+        "pick: the branch nearest to home is the only one",
+        PICK,
+        "(first, fresh & ~first)",
+        "(first,)",
+        (f"{T_PICK}::test_no_branch_of_a_grasp_that_fails_by_its_branches_is_free",),
+    ),
+    Mutation(
+        "pick: waypoints of a way bunch up",
+        STRAIGHT_WAY,
+        "first + t * delta",
+        "first + t * t * delta",
+        (f"{T_PICK}::test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints",),
     ),
     Mutation(
         "pick: the fingers close nowhere",
@@ -269,6 +292,27 @@ MUTATIONS = (
         "return gap + s * (shut[row] - gap)",
         "return gap + 0.0 * s * (shut[row] - gap)",
         (T_SAMPLED,),
+    ),
+    Mutation(
+        "lift: the table sinks along the gripper",
+        "r2h_batch/judge/lift_physics.py",
+        "up = T_gripper_world[:3, 2]",
+        "up = np.array([0.0, 0.0, -1.0])",
+        (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
+    ),
+    Mutation(
+        "lift: there is no table",
+        "r2h_batch/judge/lift_physics.py",
+        "contype=1, conaffinity=2, condim=CONDIM",
+        "contype=0, conaffinity=0, condim=CONDIM",
+        (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
+    ),
+    Mutation(
+        "lift: fingers stay open",
+        "r2h_batch/judge/lift_physics.py",
+        "robot.open_gap_m - CLOSING_M_S * k * EVERY * STEP_S",
+        "robot.open_gap_m - 0.0 * k * EVERY * STEP_S",
+        (f"{T_LIFT}::test_what_pick_accepts_comes_up_with_the_gripper",),
     ),
     Mutation(
         "pick: a table of another seed is kept",
@@ -1438,6 +1482,20 @@ MUTATIONS = (
         '            | (ends == Outcome.STUCK)\n',
         '',
         (f"{T_TRANSFER}::test_what_hangs_on_the_opening_fingers_is_undecided",),
+    ),
+    Mutation(
+        'undecided: half the step is asked of nothing that slides',
+        "r2h_batch/closed_loop/transfer/simulate.py",
+        'self.untouched_slip_m > SLIDES_M',
+        'self.untouched_slip_m > 2 * SLIDES_M',
+        (f"{T_TRANSFER}::test_what_slides_under_a_finger_is_simulated_with_half_the_step_too_and_marked_where_that_ends_otherwise",),
+    ),
+    Mutation(
+        'undecided: the half step is the whole one',
+        "r2h_batch/closed_loop/transfer/cases.py",
+        'transfers=replace(one.transfers, other_end=other)',
+        'transfers=one.transfers',
+        (f"{T_TRANSFER}::test_what_slides_under_a_finger_is_simulated_with_half_the_step_too_and_marked_where_that_ends_otherwise",),
     ),
     Mutation(
         'surplus: the most of it is of the end',

@@ -21,7 +21,7 @@ from r2h_batch.runs import provenance
 from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import write_labels
 from r2h_batch.runs.writing import open_run
-from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, SPLITS
+from r2h_batch.verdicts import MOST_SECONDS, PAPER, REGISTRY, SPLITS
 
 
 def _printable(text: str) -> str:
@@ -84,7 +84,7 @@ def write_results(path: Path, out: Path) -> dict[str, int]:
     seen: Counter[tuple[str, str, str]] = Counter()
     for k, r in enumerate(results):
         flags = r.metrics.model_dump()
-        failure = next((c for c in CRITERIA if flags[c] is False), None)
+        failure = next((c for c in PAPER if flags[c] is False), None)
         if (r.first_failure, r.success) != (failure, failure is None):
             raise FileError(f"{where}[{k}]: first_failure or success is not what its metrics say")
         if (flags["affordance"] is None) != (r.split == "S0"):
@@ -126,7 +126,7 @@ def foreign_rows(
     ids: Any, keys: Sequence[tuple[str, str, int]], results: Sequence[ResultRow | None]
 ) -> pa.Table:
     """Rows of `TRIAL_SCHEMA` from verdicts of another program: no margins, `missing` where there is
-    no verdict."""
+    no verdict, and no columns of criteria that are not the paper's."""
     rows = []
     for i, (split, object_id, _), r in zip(ids.tolist(), keys, results):
         row = {
@@ -142,10 +142,17 @@ def foreign_rows(
             row |= {f"passed_{c}": flag for c, flag in r.metrics.model_dump().items()}
             row |= {"t_plan_s": r.planning_time_s, "t_exec_s": r.execution_time_s}
         rows.append(row)
+    further = [entry for entry in REGISTRY if entry.name not in PAPER]
+    unknown = {
+        name
+        for e in further
+        for name in (f"passed_{e.name}", e.margin_column, f"margin_kind_{e.name}")
+    }
+    schema = pa.schema([field for field in TRIAL_SCHEMA if field.name not in unknown])
     columns = []
-    for field in TRIAL_SCHEMA:
+    for field in schema:
         values = pa.array([row.get(field.name) for row in rows])
         is_text = pa.types.is_dictionary(field.type)
         text = values.cast(pa.string()).dictionary_encode() if is_text else None
         columns.append(values.cast(field.type) if text is None else text)
-    return pa.table(columns, schema=TRIAL_SCHEMA)
+    return pa.table(columns, schema=schema)

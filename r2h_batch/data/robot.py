@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
 from r2h_batch.config import Workplace
 from r2h_batch.data.robot_bodies import bodies_of
@@ -207,11 +206,6 @@ def import_robot(
             srdf=srdf, home=home, offset=turned(way), pads=pads, folders=folders,
         )  # fmt: skip
         return again._replace(report=again.report | {"offset": way})
-    if chain.replaced:
-        left_out = printable(", ".join(sorted(chain.replaced)))[:120]
-        LOG.info(
-            f"{shown}: without {left_out} and what it carries: the 2F-85 replaces it; --fingers keeps it"
-        )
     hand = None if fingers is None else read_fingers(model, flange, fingers)
     parts = chain.links if hand is None else (*chain.links, hand.palm)
     moving = () if hand is None else hand.parts
@@ -255,8 +249,7 @@ def import_robot(
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
     robot = replace(bare, arm=arm, dynamics=dynamics, home_q=first_q)
-    with progress(f"{name}: pairs of links that can meet", 1, "search"):
-        pairs = checked_pairs(robot, POSTURES)
+    pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
     if not start:

@@ -1,6 +1,7 @@
 """The chain of joints of a robot's file between two links, and the fingers of its gripper."""
 
 import itertools
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -164,6 +165,10 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
         back.append(turn.T)
     replaced = [] if bare else grippers_at(model, carried[-1], flange)
     ends = {*carried, flange} if bare else {*carried, *replaced}
+    if replaced:
+        left_out = printable(", ".join(sorted(replaced)))[:120]
+        how = "the 2F-85 replaces it; --fingers keeps it"
+        warnings.warn(f"{shown}: without {left_out} and what it carries: {how}", stacklevel=2)
     parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
     T_joints, T_flange = _exact(np.array(frames).reshape(-1, 4, 4)), _exact(T_before)
     low, high = np.array([_range(joint, shown) for joint in moving]).reshape(-1, 2).T

@@ -1,9 +1,9 @@
 """Pick: can the arm take the object from where it rests? From home to 10 cm before the grasp, straight in with the open
 gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; no part of the verdict (docs/pick.md)."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from enum import IntEnum
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -28,24 +28,18 @@ from r2h_batch.judge.ik import home_posture, solve_ik
 from r2h_batch.judge.inputs import check_benchmark, check_indices, check_receiver, checked_inputs
 from r2h_batch.judge.least import least_along
 from r2h_batch.judge.plan import Plan, path_clearances, plan_paths, random_key
+from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight_ways
 from r2h_batch.kernels.judge.rows import usable_rows
-from r2h_batch.kernels.plan.codes import BRANCHES
-from r2h_batch.kernels.plan.line import follow_lines
+from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.resting import with_resting, without
+from r2h_batch.scene.resting import among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 
-WAY_M = 0.1
-"""Length of the straight way in, and of the way up [whole.md; choice]."""
-STEPS = 40
-"""Waypoints of a straight way after its first, 2.5 mm apart [choice]: between them the joints go straight."""
-MOST_TURN_RAD = 0.5
-"""A joint that turns farther from one waypoint to the next does not follow the line [choice]."""
-MOST_OFF_M = 1e-4
-"""A gripper that leaves the line farther between two waypoints does not follow it [choice]: what float32 makes unreliable."""
-OBJECT_PARTS, CLOSING_PARTS = 16, 8
-ROWS = 128
+OBJECT_PARTS, CLOSING_PARTS = 16, 4
+CLOSING_CAP_M = 0.02
+"""Clearances of closing fingers are measured up to this one: no point goes as far above 1 cm within a first part."""
+ROWS = 512
 """Rows that are judged at a time."""
 
 
@@ -54,16 +48,17 @@ class PickReason(IntEnum):
 
     OK = 0
     OUT_OF_REACH = 1
-    NO_STRAIGHT_WAY = 2
-    APPROACH_COLLIDES = 3
-    NOTHING_BETWEEN_PADS = 4
-    NOT_HELD = 5
-    CLOSING_COLLIDES = 6
-    LIFT_COLLIDES = 7
-    START_IN_COLLISION = 8
-    BEFORE_COLLIDES = 9
-    NO_PATH_IN_BUDGET = 10
-    NOT_EVALUATED = 11
+    GRASP_COLLIDES = 2
+    NO_STRAIGHT_WAY = 3
+    APPROACH_COLLIDES = 4
+    NOTHING_BETWEEN_PADS = 5
+    NOT_HELD = 6
+    CLOSING_COLLIDES = 7
+    LIFT_COLLIDES = 8
+    START_IN_COLLISION = 9
+    BEFORE_COLLIDES = 10
+    NO_PATH_IN_BUDGET = 11
+    NOT_EVALUATED = 12
 
 
 @dataclass(frozen=True)
@@ -149,6 +144,11 @@ class _Nearest(NamedTuple):
         """Those at (B,) `slot` among (B, 8) branches."""
         return _Nearest(*(x.gather(1, slot[:, None])[:, 0] for x in self))
 
+    def put(self, where: tuple[Tensor, ...], other: "_Nearest") -> None:
+        """Writes `other` there."""
+        for x, y in zip(self, other, strict=True):
+            x[where] = y
+
     def of(self, pair: CollidingPair) -> "_Nearest":
         """The same, named `pair`."""
         return self._replace(pair=torch.full_like(self.pair, int(pair)))
@@ -160,12 +160,48 @@ def _margin(clearance_m: Tensor) -> _Nearest:
     return _Nearest(clearance_m, none, none - 1)
 
 
-class _Lines(NamedTuple):
-    """Ways in and ways up of B x 8 branches, the grasp last, and how many waypoints of each are followed."""
+@dataclass(frozen=True, eq=False)
+class _Tried:
+    """Branches of some rows as far as they are known, and the path that leads to one of them."""
 
-    path: Tensor
-    followed: Tensor
-    off_m: Tensor
+    whole: Tensor  # (B, 8) the branch follows both ways
+    followed: Tensor  # (B,) most waypoints that a branch follows at the closest spacing
+    way_in: Tensor  # (B, 8, W, J)
+    way_up: Tensor
+    off_m: Tensor  # (B, 8)
+    approach: _Nearest  # (B, 8), -inf: not walked
+    lift: _Nearest
+    reason: Tensor  # (B,) PlanReason of the path from home
+    path: Tensor  # (B, W, J)
+    length: Tensor  # (B,)
+    way: _Nearest  # (B,) along the path, or where it fails
+    slot: Tensor  # (B,) the branch that passes all, -1: none so far
+
+    @staticmethod
+    def none(b: int, joints: int, device: torch.device) -> "_Tried":
+        """Nothing is known."""
+        branches, postures = (b, int(BRANCHES)), STEPS[-1] + 1
+
+        def full(shape: tuple[int, ...], value: float) -> Tensor:
+            return torch.full(shape, value, dtype=torch.float32, device=device)
+
+        def whole(shape: tuple[int, ...], value: int) -> Tensor:
+            return torch.full(shape, value, dtype=torch.int32, device=device)
+
+        return _Tried(
+            whole=torch.zeros(branches, dtype=torch.bool, device=device),
+            followed=whole((b,), 0),
+            way_in=full((*branches, postures, joints), torch.nan),
+            way_up=full((*branches, postures, joints), torch.nan),
+            off_m=full(branches, torch.nan),
+            approach=_margin(full(branches, -torch.inf)),
+            lift=_margin(full(branches, -torch.inf)),
+            reason=whole((b,), int(PlanReason.NOT_EVALUATED)),
+            path=full((b, int(WAYPOINTS), joints), 0.0),
+            length=whole((b,), 0),
+            way=_margin(full((b,), -torch.inf)),
+            slot=whole((b,), -1),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +217,6 @@ class _Batch:
     T_world_obj: Tensor
     T_world_ee: Tensor
     T_world_hand: Tensor
-    grasp: Grasp
 
     @staticmethod
     def of(scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials) -> "_Batch":
@@ -195,27 +230,85 @@ class _Batch:
             object=trials.object_index.contiguous(),
             hand=trials.hand_index.contiguous(),
         )
-        T_obj_ee, limits = usable["T_obj_ee"], scene.config.thresholds
-        grasp = close_gripper(
-            scene.grasp_tables,
-            T_obj_ee,
-            usable["object"],
-            w_max=limits.w_max_m,
-            w_min=limits.w_min_m,
-            mode=scene.config.width,
-            known=True,
-        )
+        T_obj_ee = usable["T_obj_ee"]
         T_world_ee = se3.matmul(usable["T_world_ee"], T_obj_ee)
         return _Batch(
             scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee,
-            usable["T_world_ee"], T_world_ee, usable["T_world_hand"], grasp,
+            usable["T_world_ee"], T_world_ee, usable["T_world_hand"],
         )  # fmt: skip
+
+    def some(self, rows: Tensor) -> "_Batch":
+        """These rows alone."""
+        return _Batch(self.scene, *(getattr(self, f.name)[rows] for f in fields(_Batch)[1:]))
 
     def judged(self) -> Picked:
         """All stages; a row goes on to the next one if no earlier stage fails."""
+        scene, b = self.scene, len(self.objects)
+        # reach
+        ik = solve_ik(
+            self.T_world_ee,
+            active=self.active,
+            robot=scene.robot,
+            home=scene.config.workplace.home_q,
+        )
+        reach = ik.valid.any(1)
+        missed = torch.full_like(self.objects, int(PlanReason.IK_UNREACHABLE))
+        missed = torch.where(reach | ~self.active, int(PlanReason.NOT_EVALUATED), missed)
+        missed_m = failed_clearance(
+            scene, self._people, self.T_world_ee, ik, ik.valid,
+            missed.to(torch.int32),
+        )  # fmt: skip
+        reason = torch.where(reach, int(PickReason.OK), int(PickReason.OUT_OF_REACH))
+        found = _margin(torch.where(reach, CUT_CAP_M, missed_m))
+        # the open gripper at the grasp, wherever the arm is
+        at = torch.nonzero(reach).flatten()
+        q = ik.q[at, ik.valid[at].to(torch.int8).argmax(1)]
+        touching = self._gripper_at(at, q)
+        met = touching.clearance_m <= 0
+        found.put((at,), touching)
+        reason[at[met]] = int(PickReason.GRASP_COLLIDES)
+
+        free = at[~met]
+        rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
+        reason[free] = rest.reason.long()
+        found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
+        reason[~self.active] = int(PickReason.NOT_EVALUATED)
+        none = torch.full_like(found.clearance_m, torch.nan)
+        found = _Nearest(
+            *(torch.where(self.active, x, y) for x, y in zip(found, _margin(none), strict=True))
+        )
+
+        def spread(x: Tensor, value: float) -> Tensor:
+            out = torch.full((b, *x.shape[1:]), value, dtype=x.dtype, device=x.device)
+            out[free] = x
+            return out
+
+        return Picked(
+            picked=reason == int(PickReason.OK),
+            reason=reason.to(torch.int32),
+            margin_m=found.clearance_m,
+            pair=found.pair,
+            body=found.body,
+            off_m=spread(rest.off_m, torch.nan),
+            T_world_ee=self.T_world_ee,
+            path=spread(rest.path, 0.0),
+            length=spread(rest.length, 0),
+            way_in=spread(rest.way_in, torch.nan),
+            way_up=spread(rest.way_up, torch.nan),
+        )
+
+    def _from_here(self, q: Tensor, valid: Tensor) -> Picked:
+        """The stages after the first two, of rows that pass those; q, valid: (B, 8) branches at the grasp."""
+        scene = self.scene
+        limits = scene.config.thresholds
+        grasp = close_gripper(
+            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
+            mode=scene.config.width, known=True,
+        )  # fmt: skip
+        tried = self._tried(grasp, q, valid)
         found = _margin(torch.full_like(self.T_world_ee[:, 0, 0], CUT_CAP_M))
         reason = torch.zeros_like(self.objects)
-        left = self.active
+        left = torch.ones_like(self.active)
 
         def fail(rows: Tensor, why: PickReason, by: _Nearest) -> None:
             nonlocal found, reason, left
@@ -224,193 +317,233 @@ class _Batch:
             found = _Nearest(*(torch.where(rows, y, x) for x, y in zip(found, by, strict=True)))
             left = left & ~rows
 
-        def passed(by: _Nearest) -> None:
-            nonlocal found
-            nearer = found.nearer(by)
-            found = _Nearest(*(torch.where(left, y, x) for x, y in zip(found, nearer, strict=True)))
-
-        # reach
-        there, missed_m, lines_in, lines_up = self._ways()
-        fail(~there, PickReason.OUT_OF_REACH, _margin(missed_m))
-        n = STEPS + 1
-        whole = (lines_in.followed == n) & (lines_up.followed == n)
-        short = (2 * n - lines_in.followed - lines_up.followed).amin(1)
-        fail(~whole.any(1), PickReason.NO_STRAIGHT_WAY, _margin(-WAY_M / STEPS * short.float()))
+        some = tried.whole.any(1)
+        short = 2 * (STEPS[-1] + 1) - tried.followed
+        fail(~some, PickReason.NO_STRAIGHT_WAY, _margin(-WAY_M / STEPS[-1] * short.float()))
 
         # straight in
-        approach = self._approach(lines_in, whole & left[:, None])
-        free = approach.clearance_m > 0
-        fail(
-            ~free.any(1), PickReason.APPROACH_COLLIDES, approach.at(approach.clearance_m.argmax(1))
-        )
+        walked = tried.approach.clearance_m > 0
+        blocked, least_bad = self._blocked_approach(tried, left & ~walked.any(1))
+        fail(~walked.any(1), PickReason.APPROACH_COLLIDES, blocked)
         entered = self._entered(left)
         fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
 
         # close
-        held = _margin(self.grasp.margin_m)
-        fail(self.grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
-        fail(self.grasp.margin_m < 0, PickReason.NOT_HELD, held)
-        closing = self._closing(lines_in.path[:, :, -1], approach.clearance_m.argmax(1), left)
+        held = _margin(grasp.margin_m)
+        fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
+        fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
+        closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], left)
         fail(closing.clearance_m <= 0, PickReason.CLOSING_COLLIDES, closing)
 
         # straight up
-        free = free & left[:, None]
-        lifted = self._lift(lines_up, free)
-        up = free & (lifted.clearance_m > 0)
-        best = torch.where(free, lifted.clearance_m, -torch.inf).argmax(1)
-        fail(~up.any(1), PickReason.LIFT_COLLIDES, lifted.at(best))
+        up = walked & (tried.lift.clearance_m > 0)
+        widest = tried.approach.clearance_m.argmax(1)
+        fails = left & ~up.any(1)
+        fail(fails, PickReason.LIFT_COLLIDES, self._blocked_lift(grasp, tried, widest, fails))
 
         # home to 10 cm before the grasp
-        before = lines_in.path[:, :, 0].contiguous()
-        slot = torch.minimum(approach.clearance_m, lifted.clearance_m).argmax(1)
-        plan, way = self._way(before, up & left[:, None], left)
         for word, why in (
             (PlanReason.START_IN_COLLISION, PickReason.START_IN_COLLISION),
             (PlanReason.IK_IN_COLLISION, PickReason.BEFORE_COLLIDES),
             (PlanReason.NO_PATH_IN_BUDGET, PickReason.NO_PATH_IN_BUDGET),
         ):
-            fail(plan.reason == int(word), why, way)
-        end = plan.path.gather(
-            1, (plan.length.long() - 1).clamp(min=0)[:, None, None].expand(-1, 1, before.shape[2])
-        )
-        same = (end == before).all(2) & up
-        slot = torch.where(left & same.any(1), same.to(torch.int8).argmax(1), slot)
-        for by in (entered, held, closing, approach.at(slot), lifted.at(slot), way):
-            passed(by)
-
-        reason = torch.where(self.active, reason, int(PickReason.NOT_EVALUATED)).to(torch.int32)
-        found = _Nearest(*(
-            torch.where(self.active, x, y) for x, y in zip(found, _margin(torch.full_like(found[0], torch.nan)), strict=True)
-        ))  # fmt: skip
-        some = whole.any(1)
+            fail(tried.reason == int(word), why, tried.way)
         # of a row that fails, the branch that its margin is about
-        walked = approach.clearance_m.isfinite()
-        first = torch.where(
-            walked.any(1), approach.clearance_m.argmax(1), whole.to(torch.int8).argmax(1)
-        )
-        slot = torch.where(up.any(1), slot, torch.where(free.any(1), best, first))
-        ways = [_of_slot(x.path, slot, some) for x in (lines_in, lines_up)]
-        off = torch.maximum(lines_in.off_m, lines_up.off_m).gather(1, slot[:, None])[:, 0]
+        first = torch.where(walked.any(1), widest, least_bad)
+        slot = torch.where(up.any(1), up.to(torch.int8).argmax(1), first)
+        slot = torch.where(tried.slot >= 0, tried.slot.long(), slot)
+        for by in (entered, held, closing, tried.approach.at(slot), tried.lift.at(slot), tried.way):
+            nearer = found.nearer(by)
+            found = _Nearest(*(torch.where(left, y, x) for x, y in zip(found, nearer, strict=True)))
+        ways = [_of_slot(x, slot, some) for x in (tried.way_in, tried.way_up)]
         return Picked(
             picked=left,
-            reason=reason,
+            reason=reason.to(torch.int32),
             margin_m=found.clearance_m,
             pair=found.pair,
             body=found.body,
-            off_m=torch.where(some, off, torch.nan),
+            off_m=tried.off_m.gather(1, slot[:, None])[:, 0],
             T_world_ee=self.T_world_ee,
-            path=plan.path,
-            length=torch.where(left, plan.length, 0),
+            path=tried.path,
+            length=torch.where(left, tried.length, 0),
             way_in=ways[0],
             way_up=ways[1],
         )
 
-    def _bodies(
-        self,
-        rows: Tensor,
-        opening_m: Tensor,
-        T_obj_ee: Tensor | None = None,
-        *,
-        person: bool = True,
-    ) -> BodyPoses:
-        """Bodies of these rows with the gripper at an opening, the person waiting; `T_obj_ee`: with the object attached so."""
-        T = self.T_obj_ee if T_obj_ee is None else T_obj_ee
-        poses = self.scene.body_poses(
-            self.objects[rows], self.hands[rows], T[rows], self.T_world_hand[rows], opening_m
-        )
-        if person and self.trials.receiver is not None:
-            receiver = self.trials.receiver[rows]
-            poses = with_person(self.scene, poses, receiver, hand=True)
-        return poses if T_obj_ee is not None else without(self.scene, poses, attached=True)
+    def _tried(self, grasp: Grasp, q: Tensor, valid: Tensor) -> _Tried:
+        """Branches, until one of each row passes the ways and a path from home leads to it.
 
-    @property
-    def _branches(self) -> Tensor:
-        """The row of each of B x 8 branches."""
-        rows = torch.arange(len(self.trials), dtype=torch.int64, device=self.active.device)
-        return rows.repeat_interleave(int(BRANCHES))
+        The order: widest spacing of waypoints first; of those, the branch that begins nearest to home, then all others.
+        """
+        scene, b = self.scene, len(self.objects)
+        tried = _Tried.none(b, q.shape[2], q.device)
+        home = home_posture(str(q.device), scene.config.workplace.home_q)
+        for steps in STEPS:
+            rows = torch.nonzero(tried.slot < 0).flatten()
+            if not len(rows):
+                break
+            ways = straight_ways(scene, self.T_world_ee[rows], q[rows], valid[rows], steps)
+            fresh = ways.whole & ~tried.whole[rows]
+            row, slot = torch.nonzero(fresh, as_tuple=True)
+            tried.way_in[rows[row], slot] = resampled(ways.way_in[row, slot])
+            tried.way_up[rows[row], slot] = resampled(ways.way_up[row, slot])
+            tried.off_m[rows[row], slot] = ways.off_m[row, slot]
+            tried.whole[rows] |= fresh
+            tried.followed[rows] = ways.followed.amax(1)
+            distance = torch.zeros(fresh.shape, dtype=torch.float64, device=q.device)
+            for j in range(q.shape[2]):  # summed in a fixed order: the same bits at any batch size
+                distance = distance + (ways.way_in[:, :, 0, j] - home[:, None, j]).double().square()
+            nearest = torch.where(fresh, distance, torch.inf).argmin(1, keepdim=True)
+            first = fresh & torch.zeros_like(fresh).scatter(1, nearest, True)
+            for branches in (first, fresh & ~first) if steps == STEPS[0] else (fresh,):
+                self._try(grasp, tried, rows, ways, branches & (tried.slot[rows] < 0)[:, None])
+        return tried
+
+    def _try(self, grasp: Grasp, tried: _Tried, rows: Tensor, ways: Ways, branches: Tensor) -> None:
+        """Walks these branches (R, 8) of `rows`, and looks for a path to those that are free. Writes into `tried`."""
+        row, slot = torch.nonzero(branches, as_tuple=True)
+        if not len(row):
+            return
+        approach = self._approach(rows[row], ways.way_in[row, slot], depths=False)
+        tried.approach.put((rows[row], slot), approach)
+        free = approach.clearance_m > 0
+        row, slot = row[free], slot[free]
+        lift = self._lift(grasp, rows[row], ways.way_up[row, slot], depths=False)
+        tried.lift.put((rows[row], slot), lift)
+        up = torch.zeros_like(branches)
+        up[row, slot] = lift.clearance_m > 0
+        own = torch.nonzero(up.any(1)).flatten()
+        if not len(own):
+            return
+        at, before = rows[own], ways.way_in[own, :, 0].contiguous()
+        plan, way = self._way(at, before, up[own])
+        reached = plan.length > 0
+        end = plan.path.gather(
+            1, (plan.length.long() - 1).clamp(min=0)[:, None, None].expand(-1, 1, before.shape[2])
+        )
+        same = (end == before).all(2) & up[own]
+        # a row whose first path fails keeps that reason unless another branch has a path
+        news = reached | (tried.reason[at] == int(PlanReason.NOT_EVALUATED))
+        tried.reason[at[news]] = plan.reason[news]
+        tried.way.put((at[news],), _Nearest(*(x[news] for x in way)))
+        tried.path[at[reached]] = plan.path[reached]
+        tried.length[at[reached]] = plan.length[reached]
+        tried.slot[at[reached]] = same[reached].to(torch.int8).argmax(1).to(torch.int32)
+
+    def _bare(self, rows: Tensor, opening_m: Tensor) -> BodyPoses:
+        """Bodies of these rows with the gripper at an opening and the object attached, in the scene's tables."""
+        return self.scene.body_poses(
+            self.objects[rows],
+            self.hands[rows],
+            self.T_obj_ee[rows],
+            self.T_world_hand[rows],
+            opening_m,
+        )
+
+    @cached_property
+    def _every(self) -> Tensor:
+        """All rows."""
+        return torch.arange(len(self.objects), dtype=torch.int64, device=self.active.device)
+
+    @cached_property
+    def _people(self) -> BodyPoses:
+        """All rows, the person waiting beside table, robot and attached object."""
+        poses = self._bare(self._every, self._open(self._every))
+        if self.trials.receiver is None:
+            return poses
+        return with_person(self.scene, poses, self.trials.receiver, hand=True)
+
+    @cached_property
+    def _empty(self) -> BodyPoses:
+        """The same with an empty gripper."""
+        return without(self.scene, self._people, attached=True)
+
+    @cached_property
+    def _gripper(self) -> BodyPoses:
+        """The empty gripper alone, with table and person."""
+        return without(self.scene, self._empty, arm=True)
+
+    @cached_property
+    def _lifted(self) -> BodyPoses:
+        """The attached object among all but the table: it leaves that straight up."""
+        return without(self.scene, self._people, table=True)
+
+    @cached_property
+    def _resting(self) -> BodyPoses:
+        """The robot and the resting object alone."""
+        poses = self._bare(self._every, self._open(self._every))
+        alone = without(self.scene, poses, attached=True, table=True, others=True)
+        return with_resting(self.scene, alone, self.T_world_obj)
+
+    @cached_property
+    def _resting_beside_arm(self) -> BodyPoses:
+        """The arm without its gripper, and the resting object."""
+        return without(self.scene, self._resting, gripper=True)
+
+    @cached_property
+    def _all(self) -> BodyPoses:
+        """The empty robot, table, person and resting object."""
+        return with_resting(self.scene, self._empty, self.T_world_obj)
+
+    def _bodies(self, world: BodyPoses, rows: Tensor, opening_m: Tensor) -> BodyPoses:
+        """Bodies of these rows with the gripper at an opening, among those of `world`."""
+        return among(self.scene, self._bare(rows, opening_m), world, rows)
 
     def _open(self, rows: Tensor) -> Tensor:
         """The gap of the open gripper, for each of these rows."""
-        return torch.full_like(self.grasp.opening_m[rows], self.scene.robot.open_gap_m)
+        return torch.full_like(self.T_world_ee[rows, 0, 0], self.scene.robot.open_gap_m)
 
-    def _ways(self) -> tuple[Tensor, Tensor, _Lines, _Lines]:
-        """Whether every waypoint has a branch, and by how much one misses it (below 0, m); the ways in and up."""
-        scene, b = self.scene, len(self.trials)
-        joints, home = len(scene.robot.joints), scene.config.workplace.home_q
-        m = (
-            WAY_M
-            / STEPS
-            * torch.arange(1, STEPS + 1, dtype=torch.float32, device=self.active.device)
+    def _gripper_at(self, rows: Tensor, q: Tensor) -> _Nearest:
+        """Clearances (R,) of the open gripper alone at posture q, from table and person."""
+        alone = self._bodies(self._gripper, rows, self._open(rows))
+        return self._along(alone, q[:, None], depths=True)
+
+    def _approach(self, rows: Tensor, path: Tensor, *, depths: bool) -> _Nearest:
+        """Smallest clearances (R,) along ways in (R, W, J): of the robot from table, person and itself, of the arm from the
+        resting object."""
+        worlds = (
+            self._bodies(w, rows, self._open(rows)) for w in (self._empty, self._resting_beside_arm)
         )
-        T = self.T_world_ee[:, None].repeat(1, 2 * STEPS + 1, 1, 1)
-        T[:, 1 : STEPS + 1, :3, 3] -= m[:, None] * self.T_world_ee[:, None, :3, 2]
-        T[:, STEPS + 1 :, 2, 3] += m
-        ik = solve_ik(
-            T.flatten(0, 1), active=self.active.repeat_interleave(T.shape[1]), robot=scene.robot, home=home
-        )  # fmt: skip
-        q, valid = ik.q.view(b, -1, BRANCHES, joints), ik.valid.view(b, -1, BRANCHES)
-        any_branch = valid.any(2)
-        # the grasp first, then the ends, then what lies between
-        ranked = [0, STEPS, 2 * STEPS, *range(1, STEPS), *range(STEPS + 1, 2 * STEPS)]
-        order = torch.tensor(ranked, dtype=torch.int64, device=T.device)
-        missed = order[(~any_branch[:, order]).to(torch.int8).argmax(1)]
-        there = any_branch.all(1)
-        at = torch.arange(b, dtype=torch.int64, device=T.device) * T.shape[1] + missed
-        one = type(ik)(*(getattr(ik, f.name)[at] for f in fields(ik)))
-        reason = torch.full_like(self.objects, int(PlanReason.IK_UNREACHABLE))
-        reason = torch.where(there | ~self.active, int(PlanReason.NOT_EVALUATED), reason)
-        rows = torch.arange(b, dtype=torch.int64, device=T.device)
-        missed_m = failed_clearance(
-            scene, self._bodies(rows, self._open(rows), person=False), T.flatten(0, 1)[at].contiguous(), one,
-            one.valid, reason.to(torch.int32),
-        )  # fmt: skip
-        lever = gripper_lever_m(scene)
-        lines = []
-        for first in (1, STEPS + 1):
-            own = [0, *range(first, first + STEPS)]
-            size: dict[str, int | tuple[int, ...]]
-            size = {"path": (int(BRANCHES), STEPS + 1, joints)}
-            size |= {"followed": int(BRANCHES), "off": int(BRANCHES)}
-            made = over_trials(scene.sized(follow_lines), b, scene.device, sizes=size, chunk=16)(
-                most_turn=MOST_TURN_RAD,
-                most_off=MOST_OFF_M,
-                lever=lever,
-                world=scene.world,
-                tool=scene.tool,
-                q=q[:, own].contiguous(),
-                valid=valid[:, own].contiguous(),
-                T_world_ee=T[:, own].contiguous(),
-            )
-            lines.append(_Lines(made["path"], made["followed"], made["off"]))
-        return there, missed_m, lines[0], lines[1]
+        first, second = (self._along(w, path, depths=depths) for w in worlds)
+        return first.nearer(second.of(CollidingPair.OBJECT_ROBOT))
 
-    def _approach(self, lines: _Lines, branches: Tensor) -> _Nearest:
-        """Smallest clearances (B, 8) on the ways in: of the robot from table, person and itself, of the arm from the resting
-        object. -inf where a way is not walked: where the grasp posture collides and another branch's does not, or less."""
-        rows = self._branches
-        open_m = self._open(rows)
-        worlds = (self._bodies(rows, open_m), self._arm_and_object(rows, open_m, gripper=False))
-        at_grasp = self._walked(worlds, lines.path[:, :, -1:], branches).clearance_m
-        free = branches & (at_grasp > 0)
-        least_bad = torch.zeros_like(free).scatter(1, at_grasp.argmax(1, keepdim=True), True)
-        walked = torch.where(free.any(1, keepdim=True), free, least_bad & branches)
-        return self._walked(worlds, lines.path, walked)
-
-    def _arm_and_object(self, rows: Tensor, open_m: Tensor, *, gripper: bool) -> BodyPoses:
-        """The robot, with its gripper or without, and the resting object alone."""
-        poses = self._bodies(rows, open_m, person=False)
-        alone = without(self.scene, poses, table=True, gripper=not gripper, others=True)
-        return with_resting(self.scene, alone, self.T_world_obj[rows])
-
-    def _walked(
-        self, worlds: tuple[BodyPoses, BodyPoses], path: Tensor, branches: Tensor
+    def _along(
+        self, bodies: BodyPoses, path: Tensor, *, depths: bool, cap_m: float = CUT_CAP_M
     ) -> _Nearest:
-        """Smallest clearances (B, 8) along paths (B, 8, W, J) in both worlds, whose second is robot and object alone."""
-        length = torch.where(branches.flatten(), path.shape[2], 0).to(torch.int32)
-        ways = path.flatten(0, 1).contiguous()
-        first, second = (_Nearest(*path_clearances(self.scene, w, ways, length)) for w in worlds)
-        nearest = first.nearer(second.of(CollidingPair.OBJECT_ROBOT))
-        return _Nearest(*(x.view(-1, int(BRANCHES)) for x in nearest))
+        """Smallest clearances (R,) along paths (R, W, J)."""
+        length = torch.full((len(path),), path.shape[1], dtype=torch.int32, device=path.device)
+        return _Nearest(
+            *path_clearances(
+                self.scene, bodies, path.contiguous(), length, cap_m=cap_m, depths=depths
+            )
+        )
+
+    def _blocked_approach(self, tried: _Tried, fails: Tensor) -> tuple[_Nearest, Tensor]:
+        """Nearest or deepest bodies of rows that `fails` marks, on the way in of the branch whose grasp posture has most room."""
+        out = _margin(torch.full_like(self.T_world_ee[:, 0, 0], -torch.inf))
+        slot = tried.whole.to(torch.int8).argmax(1)
+        row, branch = torch.nonzero(fails[:, None] & tried.whole, as_tuple=True)
+        if not len(row):
+            return out, slot
+        at_grasp = torch.full_like(tried.approach.clearance_m, -torch.inf)
+        at_grasp[row, branch] = self._approach(
+            row, tried.way_in[row, branch, -1:], depths=True
+        ).clearance_m
+        slot = torch.where(fails, at_grasp.argmax(1), slot)
+        rows = torch.nonzero(fails).flatten()
+        met = self._approach(rows, tried.way_in[rows, slot[rows]], depths=True)
+        known = tried.approach.at(slot)
+        out.put((rows,), _deeper(met, _Nearest(*(x[rows] for x in known))))
+        return out, slot
+
+    def _blocked_lift(self, grasp: Grasp, tried: _Tried, slot: Tensor, fails: Tensor) -> _Nearest:
+        """Nearest or deepest bodies of rows that `fails` marks, on the way up of the branch at `slot`."""
+        out = _margin(torch.full_like(self.T_world_ee[:, 0, 0], -torch.inf))
+        rows = torch.nonzero(fails).flatten()
+        if len(rows):
+            met = self._lift(grasp, rows, tried.way_up[rows, slot[rows]], depths=True)
+            out.put((rows,), _deeper(met, _Nearest(*(x[rows] for x in tried.lift.at(slot)))))
+        return out
 
     def _entered(self, left: Tensor) -> _Nearest:
         """Smallest clearances (B,) of the open gripper from the object's solid on the straight way in."""
@@ -436,22 +569,19 @@ class _Batch:
         body[rows] = torch.where(witness < 0, -1, witness + len(scene.tables.arm_order))
         return _margin(best)._replace(body=body).of(CollidingPair.OBJECT_ROBOT)
 
-    def _closing(self, grasp_q: Tensor, slot: Tensor, left: Tensor) -> _Nearest:
-        """Smallest clearances (B,) of the robot while the fingers close, from table and person; where closing pushes the object
-        into the table deeper than the pads give, what is missing."""
+    def _closing(self, grasp: Grasp, q: Tensor, left: Tensor) -> _Nearest:
+        """Smallest clearances (B,) of the gripper from table and person while its fingers close at q; where closing pushes the
+        object into the table deeper than the pads give, what is missing."""
         scene = self.scene
-        n = len(slot)
-        q = _of_slot(grasp_q[:, :, None], slot, left).nan_to_num()
         rows = torch.nonzero(left).flatten()
-        gap, shut = scene.robot.open_gap_m, self.grasp.opening_m
+        gap, shut = scene.robot.open_gap_m, grasp.opening_m
 
         def opening(row: Tensor, s: Tensor) -> Tensor:
             return gap + s * (shut[row] - gap)
 
         def at(row: Tensor, s: Tensor) -> _Nearest:
-            one = torch.ones(len(row), dtype=torch.int32, device=row.device)
-            poses = self._bodies(row, opening(row, s))
-            return _Nearest(*path_clearances(scene, poses, q[row].contiguous(), one))
+            poses = self._bodies(self._gripper, row, opening(row, s))
+            return self._along(poses, q[row][:, None], depths=True, cap_m=CLOSING_CAP_M)
 
         radius = gripper_radii(scene)
 
@@ -468,79 +598,66 @@ class _Batch:
             return far
 
         best, where = least_along(
-            lambda row, s: at(row, s).clearance_m, travel, rows, n, parts=CLOSING_PARTS, cap_m=CUT_CAP_M
+            lambda row, s: at(row, s).clearance_m, travel, rows, len(q), parts=CLOSING_PARTS, cap_m=CUT_CAP_M
         )  # fmt: skip
         nearest = _margin(best)
         witness = at(rows, where[rows])
         nearest.pair[rows], nearest.body[rows] = witness.pair, witness.body
         # the pads bring the object between them: it moves along the closing axis
-        down = self.grasp.shift_m * self.T_world_ee[:, 2, 1]
+        down = grasp.shift_m * self.T_world_ee[:, 2, 1]
         room = scene.config.thresholds.pad_squeeze_m - down
         pushed = _margin(torch.where(room < 0, room, torch.inf)).of(CollidingPair.OBJECT_TABLE)
         return nearest.nearer(pushed)
 
-    def _lift(self, lines: _Lines, branches: Tensor) -> _Nearest:
-        """Smallest clearances (B, 8) on the ways up: of the robot from all, of the held object from person and robot."""
-        rows = self._branches
-        shut = self.grasp.opening_m[rows]
-        closed = attach(self.T_obj_ee, self.grasp.shift_m)
-        bare = self._bodies(rows, shut)
-        # it leaves the table straight up, so that pair is left out
-        loaded = without(self.scene, self._bodies(rows, shut, closed), table=True)
-        length = torch.where(branches.flatten(), lines.path.shape[2], 0).to(torch.int32)
-        ways = lines.path.flatten(0, 1).contiguous()
-        first, second = (
-            _Nearest(*path_clearances(self.scene, w, ways, length)) for w in (bare, loaded)
-        )
-        nearest = first.nearer(second)
-        return _Nearest(*(x.view(-1, int(BRANCHES)) for x in nearest))
+    def _lift(self, grasp: Grasp, rows: Tensor, path: Tensor, *, depths: bool) -> _Nearest:
+        """Smallest clearances (R,) on ways up (R, W, J): of the robot from all, of the held object from person and robot."""
+        shut = grasp.opening_m[rows]
+        closed = replace(self, T_obj_ee=attach(self.T_obj_ee, grasp.shift_m))._bare(rows, shut)
+        worlds = (among(self.scene, closed, w, rows) for w in (self._empty, self._lifted))
+        first, second = (self._along(w, path, depths=depths) for w in worlds)
+        return first.nearer(second)
 
-    def _way(self, before: Tensor, branches: Tensor, left: Tensor) -> tuple[Plan, _Nearest]:
-        """A path from home to one of the `branches` before the grasp, and what it or its failure is about."""
+    def _way(self, rows: Tensor, before: Tensor, branches: Tensor) -> tuple[Plan, _Nearest]:
+        """A path from home to one of the `branches` (R, 8) before the grasp, and what it or its failure is about."""
         scene, config = self.scene, self.scene.config
-        rows = torch.arange(len(left), dtype=torch.int64, device=left.device)
-        open_m = self._open(rows)
-        empty = self._bodies(rows, open_m)
-        among = with_resting(scene, empty, self.T_world_obj)
+        every, open_m = torch.ones_like(rows, dtype=torch.bool), self._open(rows)
+        key = random_key(self.trials.trial_id[rows])
         plan = plan_paths(
-            scene, among, before, branches, left, random_key(self.trials.trial_id), config.plan, execute=config.execute
+            scene, self._bodies(self._all, rows, open_m), before, branches, every, key, config.plan, execute=config.execute
         )  # fmt: skip
         # what the path keeps from the object, and from all else; without a path a posture says it
         fails = plan.reason == int(PlanReason.IK_IN_COLLISION)
-        home = home_posture(str(left.device), config.workplace.home_q)
-        first = _of_slot(before[:, :, None], branches.to(torch.int8).argmax(1), left).nan_to_num()
-        posture = torch.where(fails[:, None, None], first, home[:, None]).contiguous()
-        one = (fails | (plan.reason == int(PlanReason.START_IN_COLLISION))).to(torch.int32)
-        alone = self._arm_and_object(rows, open_m, gripper=True)
-        found = []
-        for poses in (empty, alone):
-            path = _Nearest(*path_clearances(scene, poses, plan.path, plan.length))
-            at = _Nearest(*path_clearances(scene, poses, posture, one))
-            found.append(
-                _Nearest(*(torch.where(one > 0, y, x) for x, y in zip(path, at, strict=True)))
-            )
-        nearest = found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
-        unknown = (one == 0) & (plan.length == 0)
-        none = _margin(torch.full_like(nearest.clearance_m, -torch.inf))
-        return plan, _Nearest(
-            *(torch.where(unknown, y, x) for x, y in zip(nearest, none, strict=True))
+        home = home_posture(str(every.device), config.workplace.home_q)
+        first = _of_slot(before[:, :, None], branches.to(torch.int8).argmax(1), every)
+        at_posture = fails | (plan.reason == int(PlanReason.START_IN_COLLISION))
+        path = plan.path.clone()
+        path[:, 0] = torch.where(
+            (fails & at_posture)[:, None],
+            first[:, 0],
+            torch.where(at_posture[:, None], home, path[:, 0]),
         )
+        length = torch.where(at_posture, 1, plan.length).to(torch.int32)
+        found = []
+        for world in (self._empty, self._resting):
+            poses = self._bodies(world, rows, open_m)
+            found.append(_Nearest(*path_clearances(scene, poses, path, length, cap_m=CUT_CAP_M)))
+        return plan, found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
+
+
+def _deeper(met: _Nearest, known: _Nearest) -> _Nearest:
+    """`met`, whose depths are measured; `known` where that finds less: postures differ from waypoint to waypoint."""
+    return _Nearest(
+        *(
+            torch.where(met.clearance_m > known.clearance_m, y, x)
+            for x, y in zip(met, known, strict=True)
+        )
+    )
 
 
 def _of_slot(path: Tensor, slot: Tensor, some: Tensor) -> Tensor:
     """The paths at (B,) `slot` among (B, 8, W, J); NaN where there is none."""
     own = path[torch.arange(len(slot), dtype=torch.int64, device=slot.device), slot]
     return torch.where(some[:, None, None], own, torch.nan)
-
-
-@lru_cache(maxsize=4)
-def gripper_lever_m(scene: Scene) -> float:
-    """No point of the gripper is farther from the ee (m)."""
-    T_ee_wrist = np.linalg.inv(scene.T_wrist_ee)
-    world, k = scene.world, len(scene.robot.joints) + 1
-    ends = np.stack([world.link_c0.numpy()[k], world.link_c1.numpy()[k]])
-    at = ends @ T_ee_wrist[:3, :3].T + T_ee_wrist[:3, 3]
-    return float(np.sqrt((at * at).sum(1)).max() + world.link_radius.numpy()[k])
 
 
 @lru_cache(maxsize=4)

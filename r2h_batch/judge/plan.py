@@ -21,7 +21,7 @@ from torch import Tensor
 from r2h_batch.base.launch import load
 from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.base.launch.threads import one_torch_thread
-from r2h_batch.config import CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
+from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M, ExecConfig, PlanConfig
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.judge.planner import Planner
 from r2h_batch.judge.search import Search, edge_mode_of
@@ -155,6 +155,8 @@ def path_clearances(
     tolerance_m: float = CLEARANCE_TOLERANCE_M,
     without: float = -math.inf,
     rows: int | None = None,
+    cap_m: float = CLEARANCE_CAP_M,
+    depths: bool = True,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Smallest clearance along paths that were planned elsewhere, its pair and the robot's body, as
     in `Plan`; minus the overlap where bodies meet. Postures alone (W = 1) take launches over all rows.
@@ -167,9 +169,13 @@ def path_clearances(
         tolerance_m: of clearances above 0.
         without: the clearance where there is no path, m.
         rows: for how many paths of WAYPOINTS the frontier has room; None: as many as the waypoints make.
+        cap_m: clearances count this at most, m.
+        depths: measure how deep bodies meet; False: where they meet, anything below 0.
     """
     planner = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
-    found = planner.clearance(path, length, tolerance_m, without)
+    found = planner.clearance(path, length, tolerance_m, without, cap_m)
+    if not depths:
+        return found
     _measure_overlaps(planner, scene, path, length, *found)
     return found
 

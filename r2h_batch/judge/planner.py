@@ -68,13 +68,14 @@ class Planner:
         length: Tensor,
         tolerance_m: float = CLEARANCE_TOLERANCE_M,
         without: float = -math.inf,
+        cap_m: float = CLEARANCE_CAP_M,
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
-        """Smallest clearance along each path over all pairs (`without` one: that), its pair and the
+        """Smallest clearance along each path over all pairs, at most `cap_m` (`without` one: that), its pair and the
         robot's body."""
         if self.frontier is not None:
-            return self.frontier.clearance(path, length, tolerance_m, without)
+            return self.frontier.clearance(path, length, tolerance_m, without, cap_m)
         made = self._over(path_clearance, len(path), 8)(
-            cap=CLEARANCE_CAP_M, tolerance=tolerance_m, without=without, path=path, length=length
+            cap=cap_m, tolerance=tolerance_m, without=without, path=path, length=length
         )
         return made["clearance"], made["pair"], made["body"]
 

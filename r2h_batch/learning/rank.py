@@ -39,7 +39,7 @@ BLIND = 0.25
 BATCH, MINED_BATCH = 64, 24
 """Trials of a step; how many of them are mined, where some are."""
 MOST_BYTES = 4 << 30
-"""Of a stored file."""
+"""A stored file has no more."""
 SHIPPED = "shipped"
 """Names the weights of method learned."""
 EVERY = 100
@@ -48,7 +48,7 @@ EVERY = 100
 
 @contextmanager
 def stored_state(path: Path) -> Iterator[Mapping[str, Any]]:
-    """What this command has stored at a place, for as long as it is taken over.
+    """The state that this command has stored at a place, for as long as it is taken over.
 
     Raises:
         FileError: the file is something else or damaged, whether torch finds it or who takes it over does.

@@ -74,7 +74,7 @@ class Views:
 
 
 def _about(path: Path) -> tuple[dict[str, str], set[str]]:
-    """What a shard was made with, and its objects' names."""
+    """The making of a shard, and its objects' names."""
     import h5py
 
     try:

@@ -77,8 +77,11 @@ class ShardWriter:
             self.tables[kind].append(table)
 
     def table(self, kind: str, schema: pa.Schema) -> pa.Table:
-        """All rows of a kind so far; `schema`: of a run without any."""
-        tables = [schema.empty_table(), *self.tables[kind]]
+        """All rows of a kind so far; `schema`: of a run without any. Rows that nobody judged by a further criterion lack its
+        columns, as older rows do."""
+        rows = self.tables[kind]
+        there = [name for name in schema.names if not rows or name in rows[0].column_names]
+        tables = [schema.empty_table().select(there), *rows]
         return pa.concat_tables(tables).unify_dictionaries()
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Float32
+from jaxtyping import Float32, Int64
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
@@ -66,9 +66,29 @@ def with_resting(
     return replace(body_poses, bodies=bodies, world=world)
 
 
+def among(
+    scene: Scene, body_poses: BodyPoses, others: BodyPoses, rows: Int64[Tensor, " b"]
+) -> BodyPoses:
+    """Bodies of B trials among what other ones meet: each among the pieces of its row there, whose tables are not built again.
+
+    Args:
+        scene: robot, objects and hands.
+        body_poses: of B trials, that index the scene's tables.
+        others: with person, with resting objects or without some bodies.
+        rows: (B,) rows of `others`, whose hands stand where those of `body_poses` do.
+    """
+    names = ("object", "hand", *PLACED)
+    owners = dict(zip(names, body_poses.owners[: len(names)], strict=True))
+    owners |= {"hand": vars(others.bodies)["tensors"]["hand"][rows].contiguous()}
+    bodies = struct_of(
+        scene.sized(TrialBodies), {**owners, "object_motion_radius": owners["motion_radius"]}
+    )
+    return replace(body_poses, bodies=bodies, world=others.tables(scene))
+
+
 def without(
     scene: Scene, body_poses: BodyPoses, *, attached: bool = False, table: bool = False,
-    gripper: bool = False, others: bool = False,
+    gripper: bool = False, arm: bool = False, others: bool = False,
 ) -> BodyPoses:  # fmt: skip
     """The same trials without some of their bodies.
 
@@ -78,6 +98,7 @@ def without(
         attached: without the object in the gripper.
         table: without the table.
         gripper: without the gripper, which then meets nothing.
+        arm: the gripper alone, without the links before it.
         others: without hand, person and pairs of the robot with itself.
     """
     world: Any = scene.sized(World)()
@@ -88,9 +109,12 @@ def without(
         world.hull_first = wp.zeros(base.hull_first.shape[0], dtype=wp.int32, device=scene.device)
     if table:
         world.table_center = wp.vec3(0.0, 0.0, -FAR_M)
-    if gripper:
+    if gripper or arm:
         first = base.link_first.numpy().copy()
-        first[-1] = first[-2]
+        if gripper:
+            first[-1] = first[-2]
+        if arm:
+            first[:-1] = first[-2]
         world.link_first = wp.array(first, dtype=wp.int32, device=scene.device)
     if others:
         hands = base.hand_center.shape[0]
@@ -99,5 +123,6 @@ def without(
             hands, wp.vec3(FAR_M, 0.0, 0.0), dtype=wp.vec3, device=scene.device
         )
         world.hand_radius = wp.zeros(hands, dtype=wp.float32, device=scene.device)
+    if others or arm:
         world.self_links = wp.zeros(base.self_links.shape[0], dtype=wp.int32, device=scene.device)
     return replace(body_poses, world=world)

@@ -22,6 +22,7 @@ from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.scores import verdict
 from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
+from r2h_batch.verdicts import REGISTRY
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
 N = 256
@@ -73,9 +74,10 @@ def verdict_of(number: torch.Tensor, evaluated: torch.Tensor) -> dict[str, torch
 def test_touching_passes_where_the_paper_says_so():
     margin = torch.tensor([0.0, 1e-9, -1e-9])
     everywhere = torch.ones(3, dtype=torch.bool)
+    touching = {"stability", "reach", *(entry.name for entry in REGISTRY[5:] if entry.touching_passes)}
     for name in CRITERIA:
         assert verdict_of(margin, everywhere)["passed"][:, CRITERIA.index(name)].tolist() == [
-            name in ("stability", "reach"), True, False
+            name in touching, True, False
         ], name  # fmt: skip
     unknown = verdict_of(torch.full((3,), torch.nan), everywhere)
     assert not unknown["passed"].any() and unknown["evaluated"].all(0).tolist() == [

@@ -19,9 +19,11 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.least import least_along
-from r2h_batch.judge.pick import ROWS, Picked, PickReason, gripper_lever_m, gripper_radii, picked
+from r2h_batch.judge.pick import ROWS, Picked, PickReason, gripper_radii, picked
 from r2h_batch.judge.plan import path_clearances
+from r2h_batch.judge.straight_way import MOST_OFF_M, STEPS, gripper_lever_m, resampled, straight_ways
 from r2h_batch.kernels.plan.line import follow_lines
 from r2h_batch.observe import moments
 from r2h_batch.report.compare.stored import stored_rows
@@ -70,9 +72,60 @@ def test_verdicts_and_margins_are_those_of_sampled_ways():
     seen = {}
     for i in range(len(result.reason)):
         seen.setdefault((int(result.reason[i]), int(result.pair[i])), i)
-    assert {r for r, _ in seen} >= {PickReason.OK, PickReason.OUT_OF_REACH, PickReason.APPROACH_COLLIDES}
+    assert {r for r, _ in seen} >= {
+        PickReason.OK,
+        PickReason.OUT_OF_REACH,
+        PickReason.GRASP_COLLIDES,
+        PickReason.APPROACH_COLLIDES,
+    }
     for i in each(seen.values()):
         assert twin_of(0, 14, i).wrong() == "", i
+
+
+def test_no_branch_of_a_grasp_that_fails_by_its_branches_is_free():
+    """All that follow, at the closest spacing, on sampled postures: MuJoCo C meets something on each way in or up."""
+    result, s = found(0, 14), scene()
+    fails = sum(result.reason == int(k) for k in (PickReason.APPROACH_COLLIDES, PickReason.LIFT_COLLIDES)) > 0
+    arm = ~torch.isin(result.pair, torch.tensor([int(CollidingPair.OBJECT_ROBOT)])) & fails
+    looked_at = 0
+    for i in each(arm.nonzero().flatten().tolist()):
+        twin, T = twin_of(0, 14, i), result.T_world_ee[i : i + 1]
+        if twin.entered() < 0:
+            continue
+        ik = solve_ik(T, robot=s.robot, home=s.config.workplace.home_q)
+        ways = straight_ways(s, T, ik.q, ik.valid, STEPS[-1])
+        for slot in ways.whole[0].nonzero().flatten().tolist():
+            twin.ways = tuple(x[0, slot].double().numpy() for x in (ways.way_in, ways.way_up))
+            assert min(twin.approach(), twin.lift()) < 2e-4, (i, slot)
+            looked_at += 1
+    assert looked_at > 3
+
+
+@pytest.mark.check
+def test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints():
+    rng = np.random.default_rng(1)
+    for steps in each(STEPS):
+        path = torch.tensor(rng.uniform(-2, 2, (3, steps + 1, 6)), dtype=torch.float32)
+        more, n = resampled(path), STEPS[-1] // steps
+        assert more.shape == (3, STEPS[-1] + 1, 6) and torch.equal(more[:, ::n], path)
+        at = np.linspace(0, steps, STEPS[-1] + 1)
+        for j in range(6):
+            true = np.interp(at, np.arange(steps + 1), path[0, :, j].double().numpy())
+            assert np.allclose(more[0, :, j].numpy(), true, atol=1e-6)
+
+
+def test_a_branch_that_leaves_the_line_at_a_wide_spacing_follows_at_a_closer_one():
+    s, result = scene(), found(0, 14)
+    T = result.T_world_ee[result.reason != int(PickReason.OUT_OF_REACH)].contiguous()
+    ik = solve_ik(T, robot=s.robot, home=s.config.workplace.home_q)
+    wide, middle, close = (straight_ways(s, T, ik.q, ik.valid, steps) for steps in STEPS)
+    assert (wide.whole <= middle.whole).all() and (middle.whole <= close.whole).all()
+    assert wide.whole.sum() < middle.whole.sum() < close.whole.sum()
+    for ways in each((wide, middle, close)):
+        assert ways.off_m[ways.whole].max() <= MOST_OFF_M
+    assert close.off_m[wide.whole].max() < wide.off_m[wide.whole].max()
+    got = result.picked.nonzero().flatten()
+    assert (result.off_m[got] <= MOST_OFF_M).all()
 
 
 @pytest.mark.slow
@@ -91,13 +144,12 @@ def test_a_row_has_the_same_bits_alone_in_any_batch_and_order():
     passes = int(whole.picked.nonzero()[0])
     one = slice(passes, passes + 1)
     alone = picked(scene(), T_obj_ee[one], T_world_obj[one], trials[one])
-    many = picked(
-        scene(), *(x.repeat(3, 1, 1)[: ROWS + 8] for x in (T_obj_ee, T_world_obj)), trials[torch.arange(ROWS + 8) % n]
-    )
+    over = torch.arange(ROWS + 8) % n
+    many = picked(scene(), T_obj_ee[over], T_world_obj[over], trials[over])
     assert len(many.picked) > ROWS
     for f in each(fields(Picked)):
         a = getattr(whole, f.name)
-        for b, rows in ((again, order), (alone, torch.tensor([passes])), (many, torch.arange(ROWS + 8) % n)):
+        for b, rows in ((again, order), (alone, torch.tensor([passes])), (many, over)):
             x, y = (np.ascontiguousarray(t.numpy()) for t in (a[rows], getattr(b, f.name)))
             assert x.tobytes() == y.tobytes(), f.name
 
@@ -171,12 +223,17 @@ def test_a_person_in_the_way_makes_it_fail():
     s, (T_obj_ee, T_world_obj, trials) = scene(), asked(0, 14)
     i = int(found(0, 14).picked.nonzero()[0])
     one = trials[i : i + 1]
-    receiver = one.receiver.clone()
-    at = found(0, 14).T_world_ee[i, :3, 3]
-    receiver[0, 2, :3], receiver[0, 1, :3] = at + torch.tensor([0.0, 0.0, 0.15]), at + torch.tensor([0.3, 0.0, 0.15])
-    row = picked(s, T_obj_ee[i : i + 1], T_world_obj[i : i + 1], replace(one, receiver=receiver))
-    assert PickReason(int(row.reason)) == PickReason.APPROACH_COLLIDES and int(row.pair) == CollidingPair.HAND
-    assert float(row.margin_m) < 0
+    T, first = found(0, 14).T_world_ee[i], len(s.tables.arm_order)
+    # across the gripper, or behind it where the arm is
+    for back, reason in each(((0.10, PickReason.GRASP_COLLIDES), (0.24, PickReason.APPROACH_COLLIDES))):
+        receiver = one.receiver.clone()
+        middle = T[:3, 3] - back * T[:3, 2]
+        receiver[0, 1, :3], receiver[0, 2, :3] = middle - 0.02 * T[:3, 0], middle + 0.02 * T[:3, 0]
+        receiver[0, 1, 3] = 0.01
+        row = picked(s, T_obj_ee[i : i + 1], T_world_obj[i : i + 1], replace(one, receiver=receiver))
+        assert PickReason(int(row.reason)) == reason and float(row.margin_m) < 0
+        if reason == PickReason.GRASP_COLLIDES:
+            assert int(row.pair) == CollidingPair.HAND and first <= int(row.body) < len(s.part_names) - 1
 
 
 def test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free():

@@ -67,11 +67,11 @@ def test_labels_and_margins_are_what_score_says_of_these_poses_and_trials(pairs)
         scores = evaluator.score(item["T_obj_ee"], item["T_world_ee"], trials, stages="pose")
         assert torch.equal(scores.success.view(6, 3), item["success"])
         assert torch.equal(
-            torch.where(scores.evaluated, scores.passed.float(), -1).view(6, 3, 5), item["labels"].nan_to_num(nan=-1.0)
+            torch.where(scores.evaluated, scores.passed.float(), -1).view(6, 3, -1), item["labels"].nan_to_num(nan=-1.0)
         )
-        evaluated = scores.evaluated.view(6, 3, 5)
+        evaluated = scores.evaluated.view(6, 3, -1)
         assert torch.equal(item["margin"].isnan(), ~evaluated)
-        assert torch.equal(item["margin"][evaluated], scores.margin.view(6, 3, 5)[evaluated])
+        assert torch.equal(item["margin"][evaluated], scores.margin.view(6, 3, -1)[evaluated])
         free = torch.tensor([pairs.objects[int(o)].split == "S0" for o in item["object_index"]])
         assert (
             torch.equal(item["labels"][..., CRITERIA.index("affordance")].isnan().all(1), free)
@@ -129,7 +129,8 @@ def test_a_small_cloud_is_of_the_whole_object_and_begins_a_larger_one():
 
 def test_poses_bring_the_objects_middle_to_the_palm_from_behind(pairs):
     items = [pairs.item(i) for i in range(5)]
-    passes = torch.cat([x["success"].flatten() for x in items]).float().mean()
+    by_paper = [x["labels"][..., :5] for x in items]
+    passes = torch.cat([(labels != 0).all(-1).flatten() for labels in by_paper]).float().mean()
     reach = torch.cat([x["labels"][..., CRITERIA.index("reach")].flatten() for x in items])
     assert 0.2 < passes < 0.8 and reach.nanmean() > 0.95
     T = torch.cat([x["T_world_ee"].reshape(-1, 4, 4) for x in items])

@@ -1,5 +1,7 @@
 """Shards of views in HDF5 (`r2h-batch observe export`), read back by plain h5py."""
 
+import shutil
+
 import numpy as np
 import pytest
 import torch
@@ -159,6 +161,26 @@ def test_what_a_ranker_cannot_learn_from_is_refused_in_one_line(shards, believed
     assert main(["train", "rank", "--out", str(tmp_path / "x"), *(m.format(**places) for m in more)]) == 2
     error = capsys.readouterr().err.strip().splitlines()
     assert len(error) == 1 and words in error[0]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        ("sees", "other", "shard-000001.h5: is of another benchmark or other cameras than shard-000000.h5"),
+        ("benchmark_digest", "0", "shard-000001.h5: is of another benchmark or other cameras than shard-000000.h5"),
+        ("format", "r2h-observe-0", "shard-000001.h5: is not of format r2h-observe-1"),
+        ("criteria", ["plan"], "shard-000001.h5: has other criteria than stability, plan"),
+    ],
+)
+def test_shards_that_do_not_belong_together_are_refused(believed, tmp_path, name, value, words):
+    for number in (0, 1):
+        shutil.copy(believed / "shard-000000.h5", tmp_path / f"shard-00000{number}.h5")
+    assert len(Views(tmp_path).files) == 2
+    with h5py.File(tmp_path / "shard-000001.h5", "r+") as file:
+        file.attrs[name] = value
+    with pytest.raises(ValueError, match=words) as error:
+        Views(tmp_path)
+    assert "\n" not in str(error.value)
 
 
 def test_pairs_of_believed_objects_come_in_fours(shards, tmp_path, capsys):

@@ -19,7 +19,8 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
 
-COLUMNS = list(report.HEADINGS)
+COLUMNS = [name for name in report.HEADINGS if name in table_1()[0]]
+"""The paper's: further criteria have more."""
 
 
 @pytest.fixture(scope="module")
@@ -46,11 +47,18 @@ def md_tables(text: str) -> list[list[list[str]]]:
     return tables
 
 
+def table_with(heading: str, text: str) -> list[list[str]]:
+    """The one Markdown table that has a column of this heading."""
+    (found,) = (t for t in md_tables(text) if heading in t[0])
+    return found
+
+
 @pytest.mark.check
 def test_markdown_gives_back_every_cell_of_table_1_in_its_order(paper, expected):
     heading, *rows = md_tables(report.render(paper, "md"))[0]
     assert heading == ["Split", "Method", *report.HEADINGS.values()]
-    assert {(r[0], r[1]): r[2:] for r in rows} == expected
+    at = [heading.index(report.HEADINGS[name]) for name in COLUMNS]
+    assert {(r[0], r[1]): [r[k] for k in at] for r in rows} == expected and len(COLUMNS) == 9
     assert [(r[0], r[1]) for r in rows] == list(expected)
 
 
@@ -98,7 +106,7 @@ def test_people_read_twelve_digits_of_a_digest_and_programs_all(paper):
 def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
     run = write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1)
     text = report.render(report.table_of(run), fmt)
-    assert not re.search(r"\b(nan|inf|none)\b", text, re.IGNORECASE)
+    assert not re.search(r"\b(nan|NaN|inf|Infinity|None)\b", text)
     if fmt != "json":
         assert "n/a" in text
 
@@ -108,7 +116,7 @@ def test_motions_that_meet_a_receivers_body_are_a_rate_of_those_past_one(tmp_pat
     body_m = torch.tensor([0.05, -0.01, 0.0, torch.nan, -0.002, 0.03, torch.nan, -0.1])
     store(run, "m", trials, replace(make_scores(trials, np.zeros(8, int)), body_m=body_m))
     table = report.table_of(load_run(tmp_path / "run"))
-    *_, met = md_tables(report.render(table, "md"))
+    met = table_with("Body met", report.render(table, "md"))
     assert met[0] == ["Split", "Method", "Body met", "95 %", "of"] and met[1][2:] == ["50.0", "18.8-81.2", "6"]
     assert table.rows[0].shares["body_met"].percent == 50.0 and '"body_met": 50.0' in report.render(table, "json")
 
@@ -139,7 +147,7 @@ def test_successes_that_pass_through_something_have_a_column_where_paths_are_sam
     text = report.render(report.table_of(load_run(tmp_path / "run")), "md")
     assert ("Through" in text) == (edge_check == "moveit")
     if edge_check == "moveit":
-        *_, through = md_tables(text)
+        through = table_with("Through", text)
         assert through[0] == ["Split", "Method", "Through", "95 %", "of"] and through[1][2::2] == ["40.0", "5"]
 
 

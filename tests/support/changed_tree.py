@@ -35,6 +35,23 @@ class Tree:
         assert done.returncode == 0, done.stdout + done.stderr
         return done.stdout
 
+    def passes(self, *tests: str, seconds: float = 500) -> None:
+        """Asserts that tests of ours pass in the copy.
+
+        Args:
+            tests: files or tests, as pytest takes them.
+            seconds: that they may take.
+        """
+        for name in ("tests", "pyproject.toml", "bench"):
+            if not (self.folder / name).exists():
+                (self.folder / name).symlink_to(ROOT / name)
+        environment = {**os.environ, "PYTHONPATH": str(self.folder)}
+        command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests]
+        done = subprocess.run(
+            command, env=environment, cwd=self.folder, capture_output=True, text=True, timeout=seconds
+        )
+        assert done.returncode == 0 and " passed" in done.stdout, done.stdout[-4000:] + done.stderr[-2000:]
+
     def write_docs(self) -> None:
         """`python tools/columns.py`, as CONTRIBUTING asks for."""
         environment = {**os.environ, "PYTHONPATH": str(self.folder)}

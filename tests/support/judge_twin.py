@@ -26,7 +26,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.judge.grasp import CUT_CAP_M
 from r2h_batch.scene.robot import Robot, ShapeKind
 from r2h_batch.scene.scene import Scene
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, PAPER
 
 Array = NDArray[np.float64]
 TOLERANCE_M = 1e-4
@@ -350,13 +350,13 @@ class Again:
         )
         return Closed(width, opening, shift)
 
-    def findings(self, criteria: Sequence[str] = CRITERIA) -> Iterator[Finding]:
-        """Statements of the row beside what is so; of the criteria some alone."""
+    def findings(self, criteria: Sequence[str] = PAPER) -> Iterator[Finding]:
+        """Statements of the row beside what is so; of the criteria some alone. Further criteria have no twin."""
         yield from self._grip()
         if len(self.q):
             yield from self._motion()
         passed: dict[str, bool] = {}
-        for name in CRITERIA:
+        for name in PAPER:
             said = self.row[f"passed_{name}"]
             asked = self._asked(name)
             if asked != (said is not None):
@@ -374,7 +374,8 @@ class Again:
             kind = "bound" if body < 0 else "distance" if body < CLEARANCE_CAP_M else "cap"
             yield Finding("body_m", body, self.body_m(), kind)
         first = next((name for name, fine in passed.items() if not fine), "success")
-        yield Finding("outcome", self.row["outcome"], first, "fact", wrong=self.row["outcome"] != first)
+        outcome = "success" if self.row["outcome"] in CRITERIA[len(PAPER) :] else self.row["outcome"]
+        yield Finding("outcome", outcome, first, "fact", wrong=outcome != first)
 
     def _asked(self, name: str) -> bool:
         """Affordance is asked where the object has a region's split, Safe where the arm moves."""

@@ -19,10 +19,12 @@ from convex_twin import mesh_distance
 from judge_twin import Fingers, World, deepest_point, rigid
 from numpy.typing import NDArray
 from oracle import CLASSES, Staged, geom_depth, out_of_reach
+from planning_twins import jacobian_ik
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.judge.grasp import close_gripper
-from r2h_batch.judge.pick import MOST_OFF_M, Picked, PickReason
+from r2h_batch.judge.pick import Picked, PickReason
+from r2h_batch.judge.straight_way import MOST_OFF_M
 from r2h_batch.types import CollidingPair
 
 Array = NDArray[np.float64]
@@ -126,6 +128,14 @@ class PickTwin:
         """Smallest clearance of the open gripper from table and person on the way in: the same in every branch."""
         return _least(self.open, self.ways[0], classes=("hand", "table"), of="gripper")
 
+    def gripper_at_the_grasp(self) -> float:
+        """Smallest clearance of the open gripper from table and person at the grasp, in a posture of own inverse kinematics."""
+        rng = np.random.default_rng(0)
+        starts = (rng.uniform(-np.pi, np.pi, len(self.robot.joints)) for _ in range(60))
+        found = (jacobian_ik(self.robot, self.T_world_ee, start) for start in starts)
+        q = next(q for q in found if q is not None)
+        return _least(self.open, q[None], classes=("hand", "table"), of="gripper")
+
     def entered(self) -> float:
         """Smallest clearance of the open gripper from the object's surface on the straight way in; below 0: minus a depth."""
         g, best = self.robot.gripper, CAP_M
@@ -173,15 +183,8 @@ class PickTwin:
         return min(_least(self.open, dense), _least(self.resting, dense, classes=("hand",)))
 
     def missed(self) -> float:
-        """How far the waypoint is out of reach that is so farthest (m)."""
-        steps = np.linspace(0, 0.1, 11)
-        far = 0.0
-        for s in steps:
-            for axis in (-self.T_world_ee[:3, 2], np.array([0.0, 0.0, 1.0])):
-                T = self.T_world_ee.copy()
-                T[:3, 3] += s * axis
-                far = max(far, float(out_of_reach(T, self.robot)))
-        return far
+        """How far the grasp is out of reach (m)."""
+        return float(out_of_reach(self.T_world_ee, self.robot))
 
     def wrong(self) -> str:
         """A claim of the row that this file does not confirm; empty where they agree.
@@ -197,6 +200,9 @@ class PickTwin:
             return "" if -margin <= missed + TOLERANCE_M else f"out of reach by {-margin}, here {missed}"
         if reason == PickReason.NO_STRAIGHT_WAY:
             return ""
+        if reason == PickReason.GRASP_COLLIDES:
+            kept = self.gripper_at_the_grasp()
+            return "" if margin > -TOLERANCE_M or kept < 0 else f"{reason.name} by {margin}, here {kept}"
         off, beyond = self.followed_m(), self.beyond_limits()
         if off > MOST_OFF_M + TOLERANCE_M / 2 or beyond > 1e-5:
             return f"off the line by {off} m, beyond limits by {beyond} rad"

@@ -208,6 +208,7 @@ class Frontier(Levels):
         length: Int32[Tensor, " b"],
         tolerance: float = CLEARANCE_TOLERANCE_M,
         without: float = -math.inf,
+        cap_m: float = CLEARANCE_CAP_M,
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
         """As plan/lines.py `path_clearance`: `without` a path that, and -1; the pair, and the robot's body.
 
@@ -218,7 +219,7 @@ class Frontier(Levels):
         b, segments = path.shape[0], path.shape[1] - 1
         at_once = min(max(segments, 1), SEGMENTS_AT_ONCE)
         rows = self._arange(b)
-        found = torch.full((b,), cap_key(CLEARANCE_CAP_M), dtype=torch.int64, device=self.device)
+        found = torch.full((b,), cap_key(cap_m), dtype=torch.int64, device=self.device)
         goal = path[rows.long(), (length - 1).clamp(min=0).long()]
         room = max((SEGMENTS_PER_ROW if segments == at_once else at_once) * b, LEAST_SEGMENTS)
         lines = Lines(rows, rows, goal, goal, torch.zeros_like(goal[:, 0]))

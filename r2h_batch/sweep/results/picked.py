@@ -46,7 +46,9 @@ SCHEMA = pa.schema(
 """A row for each stored row with a pose, as `judge.pick.Picked` has it. pick_m: null where no path was found. pick_pair: the two
 bodies that it is about, null where no two bodies are; pick_part: the robot's."""
 CAUSES = {
-    "reach": (PickReason.OUT_OF_REACH, PickReason.NO_STRAIGHT_WAY),
+    "reach": (PickReason.OUT_OF_REACH,),
+    "grasp": (PickReason.GRASP_COLLIDES,),
+    "straight way": (PickReason.NO_STRAIGHT_WAY,),
     "way in": (PickReason.APPROACH_COLLIDES,),
     "pads": (PickReason.NOTHING_BETWEEN_PADS, PickReason.NOT_HELD),
     "closing": (PickReason.CLOSING_COLLIDES,),
@@ -59,12 +61,15 @@ CAUSES = {
     ),
 }
 """Columns of the printed table, and the reasons that each counts."""
+GOING_IN = (PickReason.GRASP_COLLIDES, PickReason.APPROACH_COLLIDES)
+"""Reasons of which the table says what is met."""
 NOTES = (
     "Percent of the rows. picked: the arm goes from home to 10 cm before the grasp, straight in with the open gripper,"
     " closes, and goes 10 cm straight up. The object rests on the table, the person waits (docs/pick.md). Brackets: 95 %,"
     " Wilson. No part of SR.",
-    "Then the share that fails in each stage, the first one counts: reach, the way in, what lies between the pads, the"
-    " closing fingers, the lift, the path from home. Of the way in: what the robot meets.",
+    "Then the share that fails in each stage, the first one counts: reach, the open gripper at the grasp, straight"
+    " ways, the way in, what lies between the pads, the closing fingers, the lift, the path from home. Of the grasp and the way"
+    " in: what the robot meets.",
 )
 
 
@@ -171,13 +176,13 @@ def render(files: dict[str, Path]) -> str:
         ]
         both = [rate_text(got & won), str(int(won.sum())), rate_text(got[won])]
         rates.append([label, str(len(got)), rate_text(got), *shares, *both])
-        way = reason == PickReason.APPROACH_COLLIDES.name.lower()
+        way = np.isin(reason, [r.name.lower() for r in GOING_IN])
         met.append([label, *(percent_text(way & (pair == p)) for p in MET)])
     head = ["Method", "n", "picked", *CAUSES, "picked and success", "successes", "of these picked"]
     parts = [
         "Objects that the arm can pick from the table, percent",
         aligned(head, rates, 1),
-        "What the robot meets on the way in",
+        "What the robot meets at the grasp and on the way in",
         aligned(["Method", *MET.values()], met, 1),
         notes_list(NOTES),
     ]
@@ -185,4 +190,4 @@ def render(files: dict[str, Path]) -> str:
 
 
 MET = {"table": "table", "hand": "person", "self": "itself", "object_robot": "object"}
-"""Pairs of the way in, and what is met."""
+"""Pairs of the grasp and the way in, and what is met."""

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.data.release import PADS_M, T_world_release, along_z, palm_in_hand
-from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS
+from r2h_batch.verdicts import CRITERIA, PAPER, SIDES, SPLITS
 from r2h_batch.view.export.region_boxes import region_as_boxes
 from r2h_batch.view.mjcf import posture_at
 from r2h_batch.view.stored import StoredTrial
@@ -218,10 +218,12 @@ def release_names(
     return names
 
 
-_FLAGS = {c: f"passed_{c}" for c in CRITERIA}
+_FLAGS = {c: f"passed_{c}" for c in PAPER}
+_SUCCESS = {"success", *CRITERIA} - {*PAPER}
+"""Outcomes of rows that pass the paper's criteria: further ones come behind these."""
 _TIMES = ("planning_time_s", "execution_time_s", "total_time_s")
 _CSV = (
-    *("trial_id", "object_id", "variant", "split", "success", "first_failure", *CRITERIA),
+    *("trial_id", "object_id", "variant", "split", "success", "first_failure", *PAPER),
     *("reference_outcome", "right_pad_distance_m", "left_pad_distance_m"),
     *("trajectory_duration_s", *_TIMES),
 )
@@ -238,7 +240,7 @@ _FAILURES = {
 def write_release_results(
     rows: Sequence[Mapping[str, Any]], names: Mapping[int, tuple[str, str]], folder: Path
 ) -> None:
-    """results.json, results.csv, paper_table.json and paper_table.csv in the release's schema.
+    """results.json, results.csv, paper_table.json and paper_table.csv in the release's schema: verdicts by the paper's criteria.
 
     Args:
         rows: judged rows of a run's trials.
@@ -266,7 +268,7 @@ def _result(row: Mapping[str, Any], name: str, variant: str) -> dict[str, Any]:
         "split": row["split"],
         "variant": variant,
         "metrics": metrics,
-        "success": row["outcome"] == "success",
+        "success": row["outcome"] in _SUCCESS,
         "first_failure": next((c for c, passed in metrics.items() if passed is False), None),
         "width_m": row["width_m"],
         "contact_frames": [],

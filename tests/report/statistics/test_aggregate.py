@@ -12,8 +12,8 @@ from scipy import stats
 from r2h_batch.report.statistics import aggregate, breakdown
 from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.tally import Tally, tally
-from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
 
 
 def table_of(outcome, split=None, objects=None, t_plan_s=None):
@@ -26,11 +26,11 @@ def table_of(outcome, split=None, objects=None, t_plan_s=None):
         "split": [SPLITS[i] for i in split],
         "outcome": [(*OUTCOME_NAMES, "odd")[i] for i in outcome],
     }
-    columns = {name: pa.array(column, pa.string()).dictionary_encode() for name, column in words.items()}
-    columns |= {f"passed_{c}": pa.nulls(n, pa.bool_()) for c in CRITERIA}
-    columns |= dict.fromkeys(("t_exec_s", "t_method_s", "body_m", "margin_plan_m"), pa.nulls(n, pa.float32()))
-    columns["t_plan_s"] = pa.nulls(n, pa.float32()) if t_plan_s is None else pa.array(t_plan_s, pa.float32())
-    return pa.table({**columns, "presented": pa.nulls(n, pa.bool_())})
+    columns = {field.name: pa.nulls(n, field.type) for field in TRIAL_SCHEMA}
+    columns |= {name: pa.array(column, pa.string()).dictionary_encode() for name, column in words.items()}
+    if t_plan_s is not None:
+        columns["t_plan_s"] = pa.array(t_plan_s, pa.float32())
+    return pa.table(columns)
 
 
 def tally_of(outcome, split=None, objects=None, method="m", splits=SPLITS, t_plan_s=None) -> Tally:
@@ -79,14 +79,18 @@ def test_the_interval_of_a_mean_rate_covers():
 
 @pytest.mark.check
 def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
-    outcome = np.repeat(np.arange(MISSING + 1), [5, 4, 3, 2, 1, 6, 7, 8, 9])
+    counts = {"success": 5, "stability": 4, "plan": 3, "reach": 2, "affordance": 1, "safe": 6}
+    counts |= {"invalid_input": 7, "invalid_sim": 8, "missing": 9}
+    further = dict.fromkeys(CRITERIA[5:], 0)
+    outcome = np.repeat([OUTCOME_NAMES.index(name) for name in counts], list(counts.values()))
     row = aggregate.split_row(tally_of(outcome, np.ones(45)), "S1")
     assert row.n == 45
-    assert sum(r.percent for r in row.rates.values()) == pytest.approx(100)
-    assert {k: r.count for k, r in row.rates.items()} == {
+    rates = {k: r for k, r in row.rates.items() if k not in {e.rate for e in REGISTRY[5:]}}
+    assert sum(r.percent for r in rates.values()) == pytest.approx(100)
+    assert {k: r.count for k, r in rates.items()} == {
         "sr": 5, "f_stab": 4, "f_plan": 3, "f_reach": 2, "f_afford": 1, "f_safe": 6, "invalid": 15, "missing": 9,
     }  # fmt: skip
-    assert row.counts == dict(zip(OUTCOME_NAMES, [5, 4, 3, 2, 1, 6, 7, 8, 9]))
+    assert row.counts == counts | further
 
 
 def test_times_are_means_over_the_trials_in_which_the_stage_ran():
@@ -135,7 +139,7 @@ def test_avgs_intervals_for_new_ones_are_those_of_the_splits_own():
 
 
 def test_the_table_is_the_same_for_any_shards(tmp_path):
-    outcomes = np.random.default_rng(4).choice([0, 0, 1, 2, 3, 5, 6, 8], 240)
+    outcomes = np.random.default_rng(4).choice([0, 0, 1, 2, 3, 5, Outcome.INVALID_INPUT, MISSING], 240)
     rows = []
     for size in (240, 7, 33):
         run = write_run(tmp_path / str(size), {"m": outcomes}, 120, 120, shard_trials=size)

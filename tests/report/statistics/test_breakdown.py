@@ -11,9 +11,11 @@ from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import split_row
 from r2h_batch.report.statistics.codes import FAILED, PASSED, UNEVALUATED, first_failures
 from r2h_batch.report.statistics.tally import tally
+from r2h_batch.runs.rows import MISSING
 from r2h_batch.types import CRITERIA, Outcome
+from r2h_batch.verdicts import REGISTRY, SPLITS
 
-OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, 6, 8], 120)
+OUTCOMES = np.random.default_rng(3).choice([0, 0, 0, 1, 2, 3, 5, Outcome.INVALID_INPUT, MISSING], 120)
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +28,8 @@ def made(tmp_path_factory):
 def test_the_outcome_is_the_first_failure_and_never_a_success_that_was_not_fully_judged():
     patterns = np.array(list(product((UNEVALUATED, FAILED, PASSED), repeat=len(CRITERIA))), np.uint8)
     by_name = dict(zip(CRITERIA, patterns.T, strict=True))
-    for split, needed in enumerate(([0, 1, 2, 4], [0, 1, 2, 3, 4])):
+    for split, of_paper in enumerate(([0, 1, 2, 4], [0, 1, 2, 3, 4])):
+        needed = [*of_paper, *(5 + k for k, entry in enumerate(REGISTRY[5:]) if SPLITS[split] in entry.splits)]
         for pattern, code in each(zip(patterns, first_failures(by_name, np.full(len(patterns), split)), strict=True)):
             failed = [c for c, state in zip(CRITERIA, pattern) if state == FAILED]
             if failed:

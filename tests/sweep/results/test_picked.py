@@ -29,7 +29,7 @@ def run(tmp_path_factory):
 def test_every_stored_pose_has_a_row_with_reason_margin_and_witness(run, capsys):
     assert main(["results", "picked", str(run)]) == 0
     shown = capsys.readouterr().out
-    assert "Objects that the arm can pick" in shown and "What the robot meets on the way in" in shown
+    assert "Objects that the arm can pick" in shown and "What the robot meets at the grasp and on the way in" in shown
     stored, judge = load_run(run), Judge(load_run(run))
     scene, some = judge.evaluator.scene, []
     for entry in stored.entries:

@@ -182,6 +182,11 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
         assert mine.volume == pytest.approx(own.volume, rel=1e-4) and mine.volume > 0
 
 
+def by_the_paper(row) -> str:
+    """The outcome of a row by the paper's five criteria, behind which further ones are looked at."""
+    return "success" if row["outcome"] in CRITERIA[5:] else row["outcome"]
+
+
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
     for method in ("oracle", "random"):
         line = [
@@ -204,10 +209,10 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
         for r in both:
             if r["variant"] == m:
                 row = own[r["trial_id"]]
-                assert r["success"] == (row["outcome"] == "success") and r["object_id"] == row["object"]
-                assert r["first_failure"] == (None if r["success"] else row["outcome"])
+                assert r["success"] == (by_the_paper(row) == "success") and r["object_id"] == row["object"]
+                assert r["first_failure"] == (None if r["success"] else by_the_paper(row))
                 stays = row["passed_safe"] is None  # at home, without a path
-                assert r["metrics"] == {c: row[f"passed_{c}"] for c in CRITERIA} | ({"safe": True} if stays else {})
+                assert r["metrics"] == {c: row[f"passed_{c}"] for c in CRITERIA[:5]} | ({"safe": True} if stays else {})
         table = {t["split"]: t for t in json.loads((tmp_path / m / "paper_table.json").read_text())}
         assert set(table) == {"S0", "S1", "Avg"} and table["S0"]["Fafford"] is None
         failed = {c: table["S1"][k] for c, k in (("stability", "Fstab"), ("plan", "Fplan"), ("reach", "Freach"))}
@@ -227,7 +232,7 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
     for m in theirs.methods:
         # in S0 and S1 the trials of a run stand in the order of their ids, objects in turn
         a, b = (
-            sorted((r["split"], r["object"], r["outcome"]) for r in x.trials(m).to_pylist())
+            sorted((r["split"], r["object"], by_the_paper(r)) for r in x.trials(m).to_pylist())
             for x in (theirs, load_run(run))
         )
         assert a == b

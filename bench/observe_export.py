@@ -1,0 +1,78 @@
+"""Speed and size of the data to learn from that `observe export` writes: docs/observe.md.
+
+`python bench/observe_export.py --json bench/results/observe_export.json` writes a shard as the page's command does, and reads it
+back with h5py alone. Process seconds of one core; a small shard is written first, so that kernels are compiled, instances built
+and meshes of table and robot drawn.
+"""
+
+import tempfile
+import time
+from pathlib import Path
+
+from _report import Report, arguments
+
+FAMILIES, PAIRS, FIRST = "* x 5 seed 5", 16, 8
+"""As `observe export` takes them; trials of the shard that is not measured."""
+MEASURES = (
+    *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/learning", "r2h_batch/methods/oracle.py"),
+    *("r2h_batch/evaluate.py", "r2h_batch/judge"),
+)  # fmt: skip
+
+
+def read_back(path: Path) -> dict[str, int]:
+    """Bytes in memory of each dataset of a shard."""
+    import h5py
+
+    sizes = {}
+
+    def take(name: str, item: h5py.Dataset | h5py.Group) -> None:
+        if isinstance(item, h5py.Dataset):
+            sizes[name] = item[:].nbytes
+
+    with h5py.File(path) as file:
+        file.visititems(take)
+    return sizes
+
+
+def measure(trials: int) -> Report:
+    """Writes a shard, reads it, and collects the figures."""
+    import h5py
+    import torch
+
+    from r2h_batch import load_benchmark
+    from r2h_batch.learning.pairs import stream
+    from r2h_batch.learning.views import write_views
+    from r2h_batch.observe.sees import Sees
+
+    torch.set_num_threads(1)
+    report, sees = Report(MEASURES), Sees.parse("cell-v1")
+    report.add("observe_export.trials", trials)
+    with tempfile.TemporaryDirectory() as folder:
+        for count, name in ((FIRST, "first"), (trials, "measured")):
+            pairs = stream(load_benchmark(), FAMILIES, pairs=PAIRS, trials=count, seed=0)
+            begin = time.process_time()
+            (path,) = write_views(pairs, sees, Path(folder) / name, shards=range(1), tell=print)
+            seconds = time.process_time() - begin
+        begin = time.process_time()
+        sizes = read_back(path)
+        reading = time.process_time() - begin
+        with h5py.File(path) as file:
+            won, best = file["pairs/success"][:], file["oracle/success"][:]
+        report.add("observe_export.cpu_ms", 1e3 * seconds / trials)
+        report.add("observe_export.trials_per_s", trials / seconds)
+        report.add("observe_export.kb", path.stat().st_size / trials / 1e3)
+        report.add("observe_export.kb_in_memory", sum(sizes.values()) / trials / 1e3)
+        report.add("observe_export.read_ms", 1e3 * reading / trials)
+        report.add("observe_export.datasets", len(sizes))
+        report.add("observe_export.pairs", PAIRS)
+        report.add("observe_export.pairs_won", float(won.mean()))
+        report.add("observe_export.oracle_won", float(best.mean()))
+    return report
+
+
+if __name__ == "__main__":
+    parser = arguments(__doc__)
+    parser.add_argument("--trials", type=int, default=250, help="of the shard")
+    options = parser.parse_args()
+    target = options.json and options.json.resolve()
+    measure(options.trials).write(target)
