@@ -56,6 +56,7 @@ def compare(
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.statistics.shares import hits_on
+    from r2h_batch.report.text import plain
     from r2h_batch.report.trained import sentences
     from r2h_batch.report.turn import turned
 
@@ -96,7 +97,7 @@ def compare(
     ]
     known = [f"{NOTE}: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
-    learned = [line for r in stored for line in sentences(r)]
+    learned = [plain(line) if format == "md" else line for r in stored for line in sentences(r)]
     notes = (*common.notes, *paired.notes, *marked, *learned, *(known if held else ()))
     shares = {
         n: {
