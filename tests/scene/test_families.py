@@ -5,6 +5,7 @@ import re
 import sys
 from dataclasses import replace
 from importlib import resources
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,7 +20,7 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
 from r2h_batch.scene.families import kept
 from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to, model_of
-from r2h_batch.scene.families.family import FAMILIES, Draw, Shape, family
+from r2h_batch.scene.families.family import FAMILIES, GLASS, NUMBERS, TURNS, Draw, Shape, family
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts, box
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
@@ -353,3 +354,18 @@ def test_parts_that_overlap_are_one_closed_body():
     solid = BODY + BESIDE.translate((-9, -9, 0))
     found = kept.kept_instance(family_of(lambda d, p: Shape(p("body", solid), DENSE)), FIRST_SERIES, 0)
     assert found.mesh.is_watertight and found.mass == pytest.approx(1e-6 * solid.volume(), rel=1e-3)
+
+
+def test_the_family_on_the_page_is_drawn(tmp_path):
+    page = (Path(__file__).resolve().parents[2] / "docs" / "families.md").read_text(encoding="utf-8")
+    (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
+    code = code.replace('take="foot")', 'take="foot", listed=False)')  # other tests count the families
+    (file := tmp_path / "vases.py").write_text(code)
+    first, second = family_objects(f"families:{file}:VASE x 2 seed 7")
+    for model in each([first, second]):
+        assert model.split == "S1" and model.mesh.is_watertight and 0.05 < model.mesh.extents.max() < 0.2
+        assert {model.part_names[k] for k in np.unique(model.face_part[model.receiver_face])} == {"foot"}
+        assert model.mass == pytest.approx(GLASS * model.mesh.volume, rel=1e-2)
+    assert first.mass != second.mass
+    told = page.partition("## Your own family")[2].partition("## The contact")[0]
+    assert all(f"`{word}`" in told for word in TURNS) and f"{NUMBERS} numbers" in told

@@ -61,7 +61,8 @@ class Action:
     Attributes:
         open: (N,) let go now; the first True counts.
         surplus_n: (N,) by how much the readings exceed what lets go, N; negative: they fall short of it. It marks what hangs
-            on the sensor's noise (`simulate.Transfers.undecided`); None: the policy does not say.
+            on the sensor's noise (`simulate.Transfers.undecided`); None: the policy does not say, and no row is
+            undecided for how near its decision was.
         squeeze: (N,) effort of the fingers until then, share of the largest, 0 to 1; None: 1.
         shift: (N, 3) where the robot moves its hand, from the handover pose, world axes, m; None: nowhere.
     """

@@ -9,7 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from screwdriver import OBJECTS, ROBOT, screwdrivers
 
+from r2h_batch.closed_loop.transfer.cases import Case, Simulator
+from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
 from r2h_batch.scene.robot import load_robot
 
@@ -127,3 +130,22 @@ def test_the_ranges_of_persons_are_those_of_the_code():
     assert weak.grip == (0.2, 0.5) and "a fifth to half of the grip" in text
     assert f"at most {weak.most_grip_n:g} N in sum" in text
     assert f"pulls of {weak.pull_n[0]:g} to {weak.pull_n[1]:g} N" in text
+
+
+def test_the_class_on_the_page_lets_go_when_the_person_tugs_and_not_before(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (file := tmp_path / "tug.py").write_text(code)
+    took, touched = Simulator(ROBOT, OBJECTS, Setting(), seed=0)(
+        screwdrivers(), [Case(f"{file}:Tug", scenario, 0) for scenario in ("take", "nobody")]
+    )
+    assert took.transfers.outcome == ["taken"] * 3 and (took.transfers.pull_n > 6.0).all()
+    assert touched.transfers.outcome == ["kept"] * 3 and (touched.transfers.surplus_n < 0).all()
+    assert np.isfinite(touched.transfers.surplus_n).all()
+
+
+def test_a_policy_that_gives_no_surplus_has_none_and_is_not_undecided_for_it(tmp_path):
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    (file := tmp_path / "tug.py").write_text(code.replace(", surplus_n=surplus_n", ""))
+    (made,) = Simulator(ROBOT, OBJECTS, Setting(), seed=0)(screwdrivers(), [Case(f"{file}:Tug", "nobody", 0)])
+    assert np.isnan(made.transfers.surplus_n).all() and made.transfers.outcome == ["kept"] * 3
+    assert not made.transfers.undecided.any()
