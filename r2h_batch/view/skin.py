@@ -12,6 +12,8 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.protocols.draw.receivers import SHOES_M, TABLE_HEIGHT_M
@@ -102,13 +104,38 @@ def skins() -> Skins:
     points = a["points"].astype(np.float64)
     basis = a["basis"] * a["scale"].astype(np.float64)[:, None, None]
 
+    joints = dict(zip(JOINTS, points[-n:], strict=True))
+    wrist = end_of(cut.faces, points[:-n], joints["wrist"])
+    along = joints["wrist"] - joints["elbow"]
+    along /= np.linalg.norm(along)
+    own = np.unique(cut.faces[cut.geom == GEOMS.index("forearm")])
+    own = own[own < len(weights)]
+    beyond = own[(points[own] - points[wrist].mean(0)) @ along > 0]  # between the teeth of the edge
+
+    flat = np.union1d(wrist, beyond)
+    radial = points[flat] - joints["wrist"]
+    radius = np.linalg.norm(radial - np.outer(radial @ along, along), axis=1)
+    width = np.minimum(1.0, np.median(radius) / radius)[
+        :, None
+    ]  # what lies at the thumb's root comes in
+
     def extended(rows: Array) -> Array:
         """The vertices' rows with those of the borders."""
         return np.concatenate([rows, cut.mixed(rows)])
 
+    def ended(rows: Array) -> Array:
+        """Rows of vertices and joints: with the borders, the forearm's end in a plane across it, as round as the arm."""
+        found = np.concatenate([extended(rows[:-n]), rows[-n:]])
+        middle = rows[JOINTS.index("wrist") - n]
+        from_middle = found[flat] - middle
+        ahead = (found[wrist] - middle).mean(0) @ along
+        aside = from_middle - np.outer(from_middle @ along, along)
+        found[flat] = middle + ahead * along + width * aside
+        return found
+
     return Skins(
-        np.concatenate([extended(points[:-n]), points[-n:]]),
-        np.stack([np.concatenate([extended(b[:-n]), b[-n:]]) for b in basis]),
+        ended(points),
+        np.stack([ended(b) for b in basis]),
         a["person"].astype(np.float64),
         a["sizes"].astype(np.float64),
         a["sex"],
@@ -116,6 +143,24 @@ def skins() -> Skins:
         cut.faces,
         cut.geom,
     )
+
+
+def end_of(faces: NDArray[np.int64], points: Array, joint: Array) -> NDArray[np.int64]:
+    """The vertices (E,) of the open edge that is nearest to a joint: where the hand, a mesh of its own, begins.
+
+    Args:
+        faces: (F, 3) of the points and of vertices beyond them, which are on no open edge.
+        points: (V, 3) m.
+        joint: (3,) m.
+    """
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
+    edges, times = np.unique(ends, axis=0, return_counts=True)
+    alone = edges[(times == 1) & (edges < len(points)).all(1)]
+    graph = coo_array((np.ones(len(alone)), alone.T), shape=(len(points), len(points)))
+    part = connected_components(graph, directed=False)[1]
+    near = np.unique(alone)
+    nearest = near[np.linalg.norm(points[near] - joint, axis=1).argmin()]
+    return near[part[near] == part[nearest]]
 
 
 @dataclass(frozen=True, eq=False)

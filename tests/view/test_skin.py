@@ -78,6 +78,9 @@ def test_the_drawn_arm_ends_where_the_hand_begins(drawn):
         edge = rim(skin["forearm"], receiver[2, :3])
         assert np.linalg.norm(edge.mean(0) - receiver[2, :3]) < 0.010
         assert cKDTree(hand).query(edge)[0].max() < 0.025
+        along = receiver[2, :3] - receiver[1, :3]
+        # planar at rest (53 mm of teeth without it); the bend of the wrist tilts the plane
+        assert np.ptp(edge @ along) / np.linalg.norm(along) < 0.03
 
 
 def test_who_stands_has_the_feet_on_the_floor_and_who_sits_has_them_near_it(drawn):
