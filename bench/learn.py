@@ -374,6 +374,8 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
 - Blind: the receiver's region is not told; the same weights.
+- These networks saw a piece of each object: the first 256 points of a cloud lie together. `train rank` now trains
+  networks that see points all over it.
 {left_out}{scans}
 {received}{now}{generator}## What it costs
 
@@ -400,10 +402,10 @@ SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others we
 """
 NOW_WORDS = """## What `train rank` learns now
 
-The networks above saw a piece of the object: the first 256 points of its cloud, which is in the order of the mesh's faces. They
-learned from regions of 15 to 85 % of the surface, and most of these were one side of a plane. `r2h-batch train rank` now spreads
-the points over the object, and draws a third of [each kind](../training_loop.md#a-stream-to-learn-from) of region. A region has
-5 to 95 % of the surface. The weights that ship are still those of seed 0 above. SR in percent; failures as above:
+A cloud is in the order of the mesh's faces, so the networks above saw a piece of the object. They learned from regions of
+15 to 85 % of the surface, and most of these were one side of a plane. `r2h-batch train rank` now spreads the points over the
+object. It draws a third of [each kind](../training_loop.md#a-stream-to-learn-from) of region. A region has 5 to 95 % of the
+surface. The weights that ship are still those of seed 0 above. SR in percent; failures as above:
 
 {table}
 
@@ -447,9 +449,12 @@ SCANS = """- Own meshes: {} objects of a folder, modelled by hand: each whole (S
 
 
 def older_parts(data: Mapping[str, Any]) -> str:
-    """`; NAME of COMMIT` for each part that was measured on another commit."""
-    others = {k: v for k, v in data.get("commits", {}).items() if v != data["commit"] and has(data, k)}
-    return "".join(f"; {name} of commit {commit[:12]}" for name, commit in others.items())
+    """`; NAME, NAME of COMMIT` for the parts that were measured on other commits."""
+    names: dict[str, list[str]] = defaultdict(list)
+    for name, commit in data.get("commits", {}).items():
+        if commit != data["commit"] and has(data, name):
+            names[commit[:12]].append(name)
+    return "".join(f";\n{', '.join(parts)} of commit {commit}" for commit, parts in names.items())
 
 
 def has(data: Mapping[str, Any], part: str) -> bool:
