@@ -15,7 +15,6 @@ import resource
 import subprocess
 import sys
 import time
-from collections import Counter
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,7 +22,7 @@ from typing import Any, NamedTuple
 from _report import ROOT, Report, markdown_table, swept
 
 from r2h_batch.report.table import record, table_of
-from r2h_batch.runs.store import Run, load_run
+from r2h_batch.runs.store import load_run
 
 MEASURES = (
     "bench/registry_arms.py",
@@ -129,17 +128,8 @@ def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
         run = swept(out / f"{name}_run", "--robot", out / name, *flags)
     except SystemExit:  # what it refuses it has said
         return found | {"oracle_percent": 0.0}
-    stored = load_run(run)
-    (row,) = (record(row) for row in table_of(stored).rows if row.split == "Avg")
-    return found | {"oracle_percent": row["sr"], "causes": causes(stored)}
-
-
-def causes(run: Run) -> str:
-    """How many of the oracle's trials fail, by reason; "none fails" where none does."""
-    (method,) = run.methods
-    rows = run.trials(method, ["outcome", "plan_reason"]).to_pylist()
-    failed = Counter(row["plan_reason"] or row["outcome"] for row in rows if row["outcome"] != "success")
-    return ", ".join(f"{n} `{reason}`" for reason, n in failed.most_common()) or "none fails"
+    (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
+    return found | {"oracle_percent": row["sr"]}
 
 
 FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f", "cpu_seconds": ".0f"}
