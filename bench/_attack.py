@@ -21,7 +21,9 @@ from typing import NamedTuple
 from _report import resident_mib
 
 MOST_SECONDS, MOST_MIB = 120.0, 1536
-"""Of a command that judges; the other ones stay far below."""
+"""Of the processor, and of memory beyond the bench's own; commands that do not judge stay far below."""
+LONGEST = 900.0
+"""After so many seconds on the clock a command is ended: other work on the machine counts in these."""
 MOST_LINES, MOST_LETTERS = 2, 1500
 """Of a refusal: the reason, and for a board that nobody is left."""
 SECRET = "SECRET-c0ffee52-never-told"
@@ -168,7 +170,8 @@ def became(path: Path, text: str) -> str:
             return f"{path.name}: a line of URScript" if re.search(rf"^\s*{re.escape(OWNED)}", text, re.M) else ""
         case ".md":
             bare = re.sub(r"`[^`\n]*`", "", text)
-            return f"{path.name}: a tag or a link" if TAG in bare or "](javascript:" in bare else ""
+            marks = rf"(?<!\\)({re.escape(TAG)}|\[[^\]]*\]\(javascript:)"
+            return f"{path.name}: a tag or a link" if re.search(marks, bare) else ""
     return ""
 
 
@@ -176,6 +179,8 @@ def wrong(place: Place, before: Mapping[str, str], outside: Mapping[str, str], e
     """What must not have happened; nothing if all is well."""
     if ended.how not in ("read", "refused"):
         return ended.how
+    if ended.seconds > MOST_SECONDS:
+        return f"{ended.seconds:.0f} s of the processor"
     if ended.mib > MOST_MIB:
         return f"{ended.mib} MiB"
     if (now := tree(place.outside)) != outside:
@@ -238,11 +243,11 @@ def joined(every: Sequence[Ended]) -> Ended:
 
 def ran(one: Command, place: Place, folder: Path) -> Ended:
     """Runs one command in a process of its own."""
-    start, before = time.monotonic(), resident_mib()
+    before = resident_mib()
     child = os.fork()
     if not child:
         _run(one, place, folder)
-    how, peak = _wait(child, start)
+    how, seconds, peak = _wait(child)
     said, told = ((folder / name).read_text(errors="backslashreplace") for name in ("said", "told"))
     if "Traceback (most recent call last)" in said + told:
         how = "traceback"
@@ -255,7 +260,7 @@ def ran(one: Command, place: Place, folder: Path) -> Ended:
         own = own or told.strip().splitlines()[-1:]  # `verify` and `reevaluate` answer: exit 1 is their answer
         if not own or len(own) > MOST_LINES or max(map(len, own)) > MOST_LETTERS:
             how = f"refused in {len(own)} lines of {max(map(len, own), default=0)} letters at most"
-    return Ended(how, round(time.monotonic() - start, 2), max(0, peak - round(before)), said, told)
+    return Ended(how, round(seconds, 2), max(0, peak - round(before)), said, told)
 
 
 def _run(one: Command, place: Place, folder: Path) -> None:
@@ -293,17 +298,18 @@ def _done(call: Callable[[], object]) -> int:
     return 0
 
 
-def _wait(child: int, start: float) -> tuple[str, int]:
-    """How the child ended, and the largest memory that it or what it started had, MiB."""
+def _wait(child: int) -> tuple[str, float, int]:
+    """How the child ended, its seconds of the processor and its largest memory, MiB, with what it started."""
+    start = time.monotonic()
     while True:
         done, status, used = os.wait4(child, os.WNOHANG)
         if done:
             break
-        if time.monotonic() - start > MOST_SECONDS:
+        if time.monotonic() - start > LONGEST:
             os.killpg(child, signal.SIGKILL)
             os.waitpid(child, 0)
-            return "hang", 0
+            return "hang", LONGEST, 0
         time.sleep(0.01)
     code = os.waitstatus_to_exitcode(status)
     names = {0: "read", 1: "refused", 2: "refused"}
-    return names.get(code, f"crash ({code})"), used.ru_maxrss >> 10
+    return names.get(code, f"crash ({code})"), used.ru_utime + used.ru_stime, used.ru_maxrss >> 10
