@@ -1,4 +1,4 @@
-"""What an attack on the command line is, how it is run, and what must hold after any (bench/strangers.py)."""
+"""An attack on the command line: how it is run, and the conditions that hold after any (bench/strangers.py)."""
 
 import atexit
 import csv
@@ -21,14 +21,14 @@ from typing import NamedTuple
 from _report import resident_mib
 
 MOST_SECONDS, MOST_MIB = 120.0, 1536
-"""Of the processor, and of memory beyond the bench's own; commands that do not judge stay far below."""
+"""Limits of the processor's time, and of memory beyond the bench's own; commands that do not judge stay far below."""
 LONGEST = 900.0
 """After so many seconds on the clock a command is ended: other work on the machine counts in these."""
 MOST_LINES, MOST_LETTERS = 2, 1500
-"""Of a refusal: the reason, and for a board that nobody is left."""
+"""Lines of a refusal: the reason, and for a board that nobody is left."""
 SECRET = "SECRET-c0ffee52-never-told"
 OWNED = "owned()"
-"""What a stranger's text calls where it becomes a program."""
+"""Name that a stranger's text calls where it becomes a program."""
 TAG = f"<img src=x onerror={OWNED}>"
 SCRIPT = f"</script><script>{OWNED}</script>"
 PROGRESS = re.compile(r", \d+ s$")
@@ -118,7 +118,7 @@ def ranked() -> Path:
 
 
 def tree(folder: Path) -> dict[str, str]:
-    """What lies in a folder: name -> kind, mode and digest."""
+    """Entries of a folder: name -> kind, mode and digest."""
     found = {}
     for path in sorted(folder.rglob("*")):
         what = path.lstat()
@@ -154,7 +154,7 @@ class Tags(HTMLParser):
 
 
 def became(path: Path, text: str) -> str:
-    """What a stranger's text became in a file that a command wrote; nothing if it stayed text."""
+    """Form that a stranger's text took in a file that a command wrote; nothing if it stayed text."""
     match path.suffix:
         case ".html":
             page = Tags()
@@ -176,7 +176,7 @@ def became(path: Path, text: str) -> str:
 
 
 def wrong(place: Place, before: Mapping[str, str], outside: Mapping[str, str], ended: Ended, must: str) -> str:
-    """What must not have happened; nothing if all is well."""
+    """Damage that must not have happened; nothing if all is well."""
     if ended.how not in ("read", "refused"):
         return ended.how
     if ended.seconds > MOST_SECONDS:
@@ -207,7 +207,7 @@ def wrong(place: Place, before: Mapping[str, str], outside: Mapping[str, str], e
 
 
 def attacked(attack: Attack) -> tuple[str, Ended]:
-    """What was wrong, and how the attack ended."""
+    """Fault, and how the attack ended."""
     with tempfile.TemporaryDirectory(prefix="attack-", ignore_cleanup_errors=True) as folder:
         place = Place(Path(folder) / "work", Path(folder) / "outside")
         place.work.mkdir()

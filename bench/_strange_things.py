@@ -761,7 +761,7 @@ def checkpoint(make: Callable[[Path, Place], object], must: str = "either") -> A
 
 
 class Call:
-    """What calls when it is unpickled."""
+    """Calls when it is unpickled."""
 
     def __init__(self, code: str) -> None:
         self.code = code

@@ -700,8 +700,8 @@ MUTATIONS = (
     Mutation(
         "robots: the proposed turn points into the arm",
         "r2h_batch/data/robot_home.py",
-        "key=lambda turn: (-along(turn), turn)",
-        "key=lambda turn: (along(turn), turn)",
+        "turn: (-round(along(turn), 2), -along(turn, away[-1:]), turn)",
+        "turn: (round(along(turn), 2), -along(turn, away[-1:]), turn)",
         (
             "tests/data/test_robot_home.py::test_a_flange_whose_z_points_across_is_refused_with_the_turn_and_yes_takes_it",
         ),
@@ -1072,15 +1072,15 @@ MUTATIONS = (
     Mutation(
         'regions: all are declared ones',
         'r2h_batch/learning/regions.py',
-        'more = [_with_region(o, k) for o in objects for k in range(count)]',
+        'more = [m for o in objects for k in range(count) if (m := _with_region(o, k)) is not None]',
         "more = [replace(o, name=f'{o.name}_region{k}') for o in objects for k in range(count)]",
         ('tests/learning/test_stream.py::test_regions_at_random_are_new_objects_of_s1_with_the_grasps_of_the_old_ones',),
     ),
     Mutation(
         'stream: poses of one candidate are one pose',
         'r2h_batch/learning/pairs.py',
-        'pick = torch.from_numpy(drawn).repeat_interleave(self.poses, dim=1)',
-        'pick = torch.from_numpy(drawn).repeat(1, self.poses)',
+        'pick = torch.from_numpy(drawn).repeat_interleave(poses, dim=1)',
+        'pick = torch.from_numpy(drawn).repeat(1, poses)',
         ('tests/learning/test_stream.py::test_pairs_of_one_candidate_share_it_and_have_poses_of_their_own',),
     ),
     Mutation(

@@ -25,7 +25,7 @@ NUMBERS: Mapping[str, tuple[tuple[int, ...], str]] = {
     "T_world_ee": ((4, 4), "float64"),
     "t_method_s": ((), "float32"),
 }
-"""What an answer holds: name -> shape of a row, type."""
+"""Content of an answer: name -> shape of a row, type."""
 
 
 class Apart:
@@ -105,7 +105,7 @@ class Apart:
 
 
 def _wrong(answer: Mapping[str, NDArray[Any]], n: int) -> str:
-    """What an answer is instead of `NUMBERS`; nothing where it is right. The user's code can write into the pipe too."""
+    """Difference of an answer from `NUMBERS`; nothing where it is right. The user's code can write into the pipe too."""
     for name, (row, kind) in NUMBERS.items():
         array = answer.get(name, np.empty(0, object))
         if array.shape != (n, *row) or array.dtype != np.dtype(kind):

@@ -28,7 +28,7 @@ ALLOWED = ("r2h_batch.base", "r2h_batch.observe.seen")
 """Modules of the package that a method that sees may import, with all that lies in them."""
 PACKAGE = "r2h_batch"
 MOST_LETTERS = 10_000
-"""Of the words about an error."""
+"""Length of the words about an error."""
 
 
 class Forbidden(MetaPathFinder):

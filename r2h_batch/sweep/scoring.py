@@ -205,7 +205,7 @@ def score_shard(
 
 
 def _functions_of(evaluator: Evaluator) -> dict[str, object]:
-    """What an evaluator's names call: of its classes, and what hides one of these in the evaluator itself."""
+    """Functions that an evaluator's names call: those of its classes, and what hides one of these in the evaluator itself."""
     kinds = dict.fromkeys((*Evaluator.__mro__, *type(evaluator).__mro__))
     own = {f"{kind.__name__}.{k}": v for kind in kinds for k, v in vars(kind).items()}
     hiding = {

@@ -188,7 +188,7 @@ def release_name(method: str, trial_id: int) -> str:
 
 
 _ID = re.compile(r"[A-Za-z0-9_-]{1,200}")
-"""What the release takes as a trial's id; files are called after it."""
+"""Form of a trial's id in the release; files are called after it."""
 _OTHER_FILES = ("results", "paper_table")
 
 
