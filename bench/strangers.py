@@ -212,8 +212,9 @@ def section(data: Mapping[str, Any]) -> str:
         "Somebody who had read the pages and none of the code wrote these. `python bench/strangers.py` makes each of them"
         " and gives the command line of a user (`bench/results/strangers.json`). Whatever an attack is about: a command"
         f" ends within {MOST_SECONDS:g} s of the processor and {MOST_MIB} MiB without a traceback, and a refusal is"
-        " one line. Nothing beside the working folder is written or told. No text of a stranger becomes a control"
-        " character, a tag, a formula, a program or a command of TeX. No code of a file runs. Other verdicts stay the same bits. Of"
+        " one line. Nothing beside the working folder is written or told. No text of a stranger becomes a control character,"
+        " a tag, a formula, a"
+        " program or a command of TeX. No code of a file runs. Other verdicts stay the same bits. Of"
         f" {len(every)} attacks {sum('fell' in f for f in every)} found a hole, and {sum(bool(f['wrong']) for f in every)}"
         f" do so now. {data['left_out']} more of the same kinds run with `--all`.",
         markdown_table(

@@ -43,8 +43,9 @@ def writers():
         text = path.read_text("utf-8")
         if path.name != "_report.py" and "page_from(parser" in text:
             (page,) = re.findall(r'PAGE =.*?"docs" / "results" / "([\w-]+\.md)"', text)
-            json_and_page = (ROOT / "bench" / "results" / f"{path.stem}.json", ROOT / "docs" / "results" / page)
-            if any(p.exists() for p in json_and_page):  # else nobody has measured it yet
+            stored = ROOT / "bench" / "results" / f"{path.stem}.json"
+            written = (ROOT / "docs" / "results" / page).exists() and f"docs/results/{page}" not in found
+            if stored.exists() or written:  # else nobody has measured it yet; two benches may share a page
                 found[f"docs/results/{page}"] = path.stem
     return found
 

@@ -75,7 +75,11 @@ class Action:
 
 class Tared:
     """A policy that reads the change of the load: the mean of the last `SMOOTH_TICKS` readings less that of the
-    first `TARE_TICKS`."""
+    first `TARE_TICKS`.
+
+    Args:
+        robot: what the robot knows of N transfers; kept as `robot`.
+    """
 
     def __init__(self, robot: RobotSide) -> None:
         self.robot = robot
@@ -85,7 +89,11 @@ class Tared:
         self._ticks = 0
 
     def change(self, force: Float64[Tensor, "n 3"]) -> Float64[Tensor, "n 3"] | None:
-        """The smoothed change of the load, N; None: still taring."""
+        """The smoothed change of the load, N; None: still taring.
+
+        Args:
+            force: (N, 3) this tick's reading, N.
+        """
         self._ticks += 1
         if self._ticks <= TARE_TICKS:
             self._tare = self._tare + force / TARE_TICKS
@@ -113,7 +121,11 @@ class Lasting:
 
 
 def size(v: Float64[Tensor, "n 3"]) -> Float64[Tensor, " n"]:
-    """Length of vectors, with the same bits in any batch."""
+    """Length of vectors, with the same bits in any batch.
+
+    Args:
+        v: (N, 3) vectors, any unit.
+    """
     return (v[:, 0] * v[:, 0] + v[:, 1] * v[:, 1] + v[:, 2] * v[:, 2]).sqrt()
 
 

@@ -82,7 +82,12 @@ def box(
 
 
 def revolve(profile: ArrayLike, n: int = 48) -> Manifold:
-    """A closed (r, z) profile turned about z."""
+    """A closed (r, z) profile turned about z.
+
+    Args:
+        profile: (K, 2) corners, mm; the first is not repeated.
+        n: sides of the solid.
+    """
     return Manifold.revolve(CrossSection([_ccw(profile)]), n)
 
 
