@@ -91,7 +91,8 @@ assert expected.abs().max() > 5e-4 and (found - expected).abs().median() < 2e-5,
 
 said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
 said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion
-assert len(load_run("learned").trials("learned")) == 8
+(learned,) = (run := load_run("learned")).methods
+assert len(run.trials(learned)) == 8 and run.trials(learned)["passed_centred"].null_count < 8
 run = load_run("run")
 method = run.methods[0]
 rows = run.trials(method).to_pylist()
