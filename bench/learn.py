@@ -374,7 +374,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
 - Blind: the receiver's region is not told; the same weights.
-- These networks saw a piece of each object: the first 256 points of a cloud lie together. `train rank` now trains
+- These networks saw a piece of each object: the points with the first 256 numbers lie together. `train rank` now trains
   networks that see points all over it.
 {left_out}{scans}
 {received}{now}{generator}## What it costs
