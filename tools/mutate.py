@@ -2282,6 +2282,13 @@ MUTATIONS = (
         (f"{T_BELIEVED}::test_a_believed_hand_has_the_palm_the_normal_and_the_direction_that_were_seen",),
     ),
     Mutation(
+        "believed: a kept solid is anybody's whose object looks the same",
+        "r2h_batch/methods/believed.py",
+        '("object", "T_", "key")',
+        '("object", "T_")',
+        (f"{T_BELIEVED}::test_a_kept_solid_is_that_of_the_trials_own_images",),
+    ),
+    Mutation(
         "believed: hands are drawn by the row of the batch",
         "r2h_batch/methods/believed.py",
         "int(left[i]), int(seen.key[i]), noise, seed",

@@ -344,9 +344,11 @@ def _object(
         model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), robot)
         return None if model is None else (model, T)
     shown = packed(seen[row : row + 1])
-    digest = hashlib.sha256(
-        b"".join(v.tobytes() for k, v in shown.items() if k.startswith(("object", "T_")))
-    ).hexdigest()
+    digest = (
+        hashlib.sha256(  # the key too: it is of all images, and draws of the solid follow from it
+            b"".join(v.tobytes() for k, v in shown.items() if k.startswith(("object", "T_", "key")))
+        ).hexdigest()
+    )
     if (digest, robot) not in SOLIDS:
         while len(SOLIDS) >= KEPT_SOLIDS:
             SOLIDS.popitem(last=False)

@@ -210,6 +210,17 @@ def test_a_benchmark_without_names_is_believed_of_every_protocol():
         assert known.listed is None and sorted(set(hands.side.tolist())) == sorted(hands.side.tolist())
 
 
+def test_a_kept_solid_is_that_of_the_trials_own_images():
+    seen, robot = view()[:1], cell()[0].robot
+    other = replace(seen, key=seen.key + 1)  # another image of the hand, say: the object's are the same
+    forget()
+    alone, _ = believed._object(other, 0, robot)
+    forget()
+    first, _ = believed._object(seen, 0, robot)
+    after, _ = believed._object(other, 0, robot)
+    assert after.name == alone.name != first.name and len(believed.SOLIDS) == 2
+
+
 def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     def alive():
         return sum(type(x) is trimesh.Trimesh for x in gc.get_objects())
