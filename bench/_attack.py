@@ -26,6 +26,8 @@ LONGEST = 900.0
 """After so many seconds on the clock a command is ended: other work on the machine counts in these."""
 MOST_LINES, MOST_LETTERS = 2, 1500
 """Lines of a refusal: the reason, and for a board that nobody is left."""
+SHORT_SWEEP = ["sweep", "--benchmark", "r2h-v1", "--trials", "3", "--sim", "none"]
+"""Words of a sweep over six trials."""
 SECRET = "SECRET-c0ffee52-never-told"
 OWNED = "owned()"
 """Name that a stranger's text calls where it becomes a program."""

@@ -9,21 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _attack import Attack, Command, Ended, Place, swept
+from _attack import SHORT_SWEEP, Attack, Command, Ended, Place, swept
 
-SWEEP = [
-    "sweep",
-    "--predictions",
-    "mine.npz",
-    "--benchmark",
-    "r2h-v1",
-    "--trials",
-    "3",
-    "--sim",
-    "none",
-    "--out",
-    "run",
-]
+SWEEP = [*SHORT_SWEEP, "--predictions", "mine.npz", "--out", "run"]
 BOX = "".join(f"v {x} {y} {z}\n" for x in (-0.03, 0.03) for y in (-0.02, 0.02) for z in (-0.04, 0.04)) + "".join(
     f"f {f}\n" for f in ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
 )

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from _attack import TAG, Attack, Command, Ended, Place, small, solved
+from _attack import SHORT_SWEEP, TAG, Attack, Command, Ended, Place, small, solved
 from _strange_answers import digest, expected, nothing_passed, poses
 
 ANSWER = """
@@ -24,19 +24,7 @@ def answer(trials):
 
 """
 """A method that answers as the oracle did, so that a verdict which another one has moved shows itself."""
-SWEEP = [
-    "sweep",
-    "--method",
-    "mine=mine.py:predict",
-    "--benchmark",
-    "r2h-v1",
-    "--trials",
-    "3",
-    "--sim",
-    "none",
-    "--out",
-    "run",
-]
+SWEEP = [*SHORT_SWEEP, "--method", "mine=mine.py:predict", "--out", "run"]
 
 
 def method(

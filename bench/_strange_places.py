@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from _attack import Attack, Command, Ended, Place, small, small_run
+from _attack import SHORT_SWEEP, Attack, Command, Ended, Place, small, small_run
 from _strange_answers import write_npz
 
 MORE = [
@@ -201,19 +201,7 @@ def beside(
     return Attack(does, must, then or (lambda place, ended: ""))
 
 
-ANSWERS = [
-    "sweep",
-    "--predictions",
-    "mine.npz",
-    "--benchmark",
-    "r2h-v1",
-    "--trials",
-    "3",
-    "--sim",
-    "none",
-    "--out",
-    "other",
-]
+ANSWERS = [*SHORT_SWEEP, "--predictions", "mine.npz", "--out", "other"]
 WRITERS: dict[str, Attack] = {
     "answers are rewritten while they are read": beside(
         """
