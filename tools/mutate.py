@@ -539,6 +539,15 @@ MUTATIONS = (
         ("tests/report/test_board.py::test_no_shipped_method_has_the_answers_of_another_one",),
     ),
     Mutation(
+        "shipped answers: the gripper's turn counts",
+        "r2h_batch/report/compare/shipped_answers.py",
+        "T_obj_ee[:, :3, :3].transpose(0, 2, 1)",
+        "T_obj_ee[:, :3, :3]",
+        (
+            "tests/report/test_board.py::test_a_half_turn_of_the_gripper_about_its_axis_does_not_hide_a_shipped_answer",
+        ),
+    ),
+    Mutation(
         "shipped answers: how the object is turned does not count",
         "r2h_batch/report/compare/shipped_answers.py",
         " & (cosine >= np.cos(np.radians(MOVED_DEG)))",

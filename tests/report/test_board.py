@@ -128,16 +128,29 @@ def other_rows(moved, rows):
     return change
 
 
+def posed(change):
+    """A change of stored poses: `change` takes T_obj_ee and T_world_ee (n, 4, 4) and writes into them."""
+
+    def of(table):
+        names = ("T_obj_ee", "T_world_ee")
+        poses = [np.array(table[k].to_pylist(), np.float64).reshape(-1, 4, 4) for k in names]
+        change(*poses)
+        for name, T in zip(names, poses, strict=True):
+            field = table.schema.field(name)
+            column = pa.array(T.reshape(-1, 16).astype(np.float32).tolist(), field.type)
+            table = table.set_column(table.column_names.index(name), field, column)
+        return table
+
+    return of
+
+
 def moved_by(metres):
     """A change of stored poses: the object's ee so far along x."""
 
-    def change(table):
-        column = np.array(table["T_obj_ee"].to_pylist(), np.float32).reshape(-1, 16)
-        column[:, 3] += metres
-        field = table.schema.field("T_obj_ee")
-        return table.set_column(table.column_names.index("T_obj_ee"), field, pa.array(column.tolist(), field.type))
+    def change(T_obj_ee, T_world_ee):
+        T_obj_ee[:, 0, 3] += metres
 
-    return change
+    return posed(change)
 
 
 @pytest.mark.parametrize(("metres", "share"), [(0.0, 1.0), (0.0011, 1.0), (0.0199, 1.0), (0.0201, 0.0)])
@@ -165,16 +178,26 @@ def test_a_shipped_answer_may_turn_the_object_by_less_than_8_degrees_where_it_is
     angle = np.radians(degrees)
     R = np.array([[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]])
 
-    def change(table):
-        T = np.array(table["T_world_ee"].to_pylist(), np.float64).reshape(-1, 4, 4)
-        T[:, :3, :3], T[:, 0, 3] = R @ T[:, :3, :3], T[:, 0, 3] + metres
-        field = table.schema.field("T_world_ee")
-        column = pa.array(T.reshape(-1, 16).astype(np.float32).tolist(), field.type)
-        return table.set_column(table.column_names.index("T_world_ee"), field, column)
+    def change(T_obj_ee, T_world_ee):
+        T_world_ee[:, :3, :3] = R @ T_world_ee[:, :3, :3]
+        T_world_ee[:, 0, 3] += metres
 
     for path in files_of(copy, "oracle"):
-        forge(path, change, "poses")
+        forge(path, posed(change), "poses")
     assert answers_of_shipped(results.load_run(copy), "oracle") == ({"oracle": 1.0} if share else {})
+
+
+def test_a_half_turn_of_the_gripper_about_its_axis_does_not_hide_a_shipped_answer(tmp_path):
+    shutil.copytree(SHIPPED / "r2h-v2", copy := tmp_path / "theirs")
+
+    def change(T_obj_ee, T_world_ee):
+        for T in (T_obj_ee, T_world_ee):
+            T[:, :3, :3] = T[:, :3, :3] @ np.diag([-1.0, -1.0, 1.0])
+        T_obj_ee[:, 0, 3] += 0.005
+
+    for path in files_of(copy, "oracle"):
+        forge(path, posed(change), "poses")
+    assert answers_of_shipped(results.load_run(copy), "oracle") == {"oracle": 1.0}
 
 
 def test_no_shipped_method_has_the_answers_of_another_one():
