@@ -287,6 +287,13 @@ MUTATIONS = (
         (f"{T_PICK}::test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints",),
     ),
     Mutation(
+        "pick: the way up is never off its line",
+        STRAIGHT_WAY,
+        'torch.maximum(way_in["off"], way_up["off"])',
+        'way_in["off"]',
+        (f"{T_PICK}::test_no_half_way_between_two_waypoints_is_farther_from_the_line_than_is_said",),
+    ),
+    Mutation(
         "pick: the fingers close nowhere",
         PICK,
         "return gap + s * (shut[row] - gap)",
@@ -1175,6 +1182,16 @@ MUTATIONS = (
         'criteria = _told(path).get(_CRITERIA, UNNAMED)',
         'criteria = UNNAMED',
         ('tests/learning/test_rank.py::test_a_file_of_weights_names_its_criteria_whatever_the_reader_judges_by',),
+    ),
+    Mutation(
+        "ranker: contacts are of the cloud's first points",
+        'r2h_batch/methods/ranker/observe.py',
+        'contact[:, points].contiguous()',
+        'contact[:, : len(points)].contiguous()',
+        (
+            'tests/methods/test_learned.py'
+            '::test_a_small_cloud_says_of_its_points_what_the_whole_one_says',
+        ),
     ),
     Mutation(
         "features: the thumb's side is the other one for left hands",

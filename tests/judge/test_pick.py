@@ -114,6 +114,26 @@ def test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints():
             assert np.allclose(more[0, :, j].numpy(), true, atol=1e-6)
 
 
+def test_no_half_way_between_two_waypoints_is_farther_from_the_line_than_is_said():
+    """Of both ways, in float64: the gripper's turn counts on top, so that less is never said."""
+    s, result = scene(), found(0, 14)
+    T = result.T_world_ee[result.reason != int(PickReason.OUT_OF_REACH)].contiguous()
+    ik = solve_ik(T, robot=s.robot, home=s.config.workplace.home_q)
+    ways = straight_ways(s, T, ik.q, ik.valid, STEPS[0])
+    row, slot = ways.whole.nonzero(as_tuple=True)
+    apart = []
+    for path in (ways.way_in[row, slot], ways.way_up[row, slot]):
+        q = path.double()
+        ends = ee_pose(s.robot, q[:, [0, -1]].reshape(-1, 6).numpy())[..., :3, 3].reshape(-1, 2, 3)
+        middle = ee_pose(s.robot, (0.5 * (q[:, 1:] + q[:, :-1])).reshape(-1, 6).numpy())[..., :3, 3]
+        share = (np.arange(STEPS[0]) + 0.5)[:, None] / STEPS[0]
+        line = ends[:, :1] + share * (ends[:, 1:] - ends[:, :1])
+        apart.append(np.linalg.norm(middle.reshape(line.shape) - line, axis=-1).max(1))
+    said = ways.off_m[row, slot].double().numpy()
+    assert len(said) > 20 and (np.maximum(*apart) <= said + 5e-6).all()
+    assert (apart[1] > apart[0] + 1e-5).any() and (apart[0] > apart[1] + 1e-5).any()
+
+
 def test_a_branch_that_leaves_the_line_at_a_wide_spacing_follows_at_a_closer_one():
     s, result = scene(), found(0, 14)
     T = result.T_world_ee[result.reason != int(PickReason.OUT_OF_REACH)].contiguous()

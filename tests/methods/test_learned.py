@@ -10,6 +10,10 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods import learned
 from r2h_batch.methods.ranker.network import MAX_BYTES
+from r2h_batch.methods.ranker.observe import Seen, observe
+from r2h_batch.scene.objects import POINTS
+
+EXACT = "donot_use_mm_for_euclid_dist"
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +40,17 @@ def test_a_row_is_the_same_alone_in_any_order_and_with_another_batch(judge):
     assert torch.equal(alone.T_world_ee[0], whole.T_world_ee[7])
     other = learned.predict(trials, judge.scene, seed=1)
     assert not torch.equal(other.T_world_ee, whole.T_world_ee)
+
+
+def test_a_small_cloud_says_of_its_points_what_the_whole_one_says(judge):
+    trials = load_benchmark().trials(3)
+    few, _ = observe(trials, judge.scene, Seen(cloud=64, contacts=True))
+    every, _ = observe(trials, judge.scene, Seen(cloud=POINTS, contacts=True, spread=False))
+    for n in each(range(len(trials))):
+        away, at = torch.cdist(few["cloud"][n], every["cloud"][n], compute_mode=EXACT).min(1)
+        assert away.max() == 0 and len({*at.tolist()}) == 64
+        for name in ("normals", "part", "region", "contact"):
+            assert torch.equal(few[name][n], every[name][n][at]), name
 
 
 def test_it_hands_over_and_the_region_is_what_it_goes_by(judge):
