@@ -65,6 +65,8 @@ VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
 """Steps on what cameras saw; trials of a split, and what is seen in them."""
 SEEING = {"Learned": "learned", "Learned from views": "learned,weights={}", "robust search": "robust"}
 KINDS = ("a part", "all but a part", "one side of a plane")
+FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
+"""Figures of this commit are of the weights that shipped before."""
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
@@ -459,7 +461,8 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {table}
 
-{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
+{former}{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them
+  too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
 {received}{regions}{recipes}{views}{generator}## What it costs
@@ -479,6 +482,8 @@ Success in percent.{categories_note}
 
 
 MARK = {True: "success depends on the frame", False: "the frame decides nothing"}
+FORMER_WORDS = """- Of the weights that shipped before: {}. They are not measured again yet.
+"""
 LEFT_OUT = """- Left out: trained without these categories, and judged on their instances alone. Mean of the {} of S1: {:.1f}.
 """
 NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
@@ -555,6 +560,13 @@ def older_parts(data: Mapping[str, Any]) -> str:
         if commit != data["commit"] and has(data, name):
             names[commit[:12]].append(name)
     return "".join(f";\n{', '.join(parts)} of commit {commit}" for commit, parts in names.items())
+
+
+def former_words(data: Mapping[str, Any]) -> str:
+    """The line on rows of weights that shipped before."""
+    words = {"variants": "second round, blind", "folds": "left out", "scans": "own meshes"}
+    names = [told for part, told in words.items() if data["commits"].get(part) == FORMER]
+    return FORMER_WORDS.format("; ".join(names)) if names else ""
 
 
 def has(data: Mapping[str, Any], part: str) -> bool:
@@ -665,6 +677,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         first=FIRST, second=NEAR, top=TOP,
         left_out=LEFT_OUT.format(len(functional), float(np.mean(functional))) if functional else NO_FOLDS,
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
+        former=former_words(data),
         turned=turned_words(data["turned"]) if "turned" in data else "",
         received=received_words(data) if "received" in data else "",
         regions=regions_words(data["regions"]) if "regions" in data else "",
