@@ -53,7 +53,7 @@ RECIPES: dict[str, dict[str, Any]] = {
     "12 items, 2 rounds": {"items": 12, "steps": 800, "rounds": 2, "mined_steps": 250},
     "24 items, 3 rounds": {"items": 24, "steps": 1200, "rounds": 3, "mined_steps": 300},
 }
-"""What was compared before one of them became the default of `train rank`."""
+"""Recipes that were compared before one of them became the default of `train rank`."""
 CHOSEN_BY, CHOICE = (1, 3), "{} x 4 seed 78"
 """Folds without which they are trained; instances of these on which they are compared."""
 OWN_TRIALS, REGION_TRIALS = 400, 500
