@@ -327,6 +327,13 @@ MUTATIONS = (
         (f"{T_PICK}::test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints",),
     ),
     Mutation(
+        "progress: what was kept from before counts as speed",
+        "r2h_batch/base/io/progress.py",
+        "speed = (done - free) / (now - begin)",
+        "speed = done / (now - start)",
+        ("tests/base/test_progress.py::test_the_speed_is_that_of_what_had_to_be_done",),
+    ),
+    Mutation(
         "pick: the way up is never off its line",
         STRAIGHT_WAY,
         'torch.maximum(way_in["off"], way_up["off"])',
