@@ -168,6 +168,7 @@ def _no_grasps() -> dict[str, NDArray[Any]]:
     }
 
 
+@lru_cache(maxsize=4)
 def stored_of_hand(name: str, hand: HandModel) -> dict[str, NDArray[Any]]:
     """OBJECT/FIELD -> array of a shipped file about this hand's held-out grasps; nothing of another than the built-in hands."""
     if hand is load_hand():
