@@ -115,7 +115,7 @@ def test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints():
 
 
 def test_no_half_way_between_two_waypoints_is_farther_from_the_line_than_is_said():
-    """Of both ways, in float64: the gripper's turn counts on top, so that less is never said."""
+    """Both ways, in float64. The turn of the gripper counts on top, so that less is never said."""
     s, result = scene(), found(0, 14)
     T = result.T_world_ee[result.reason != int(PickReason.OUT_OF_REACH)].contiguous()
     ik = solve_ik(T, robot=s.robot, home=s.config.workplace.home_q)
