@@ -1,15 +1,16 @@
 """A method that learned (`r2h-batch train rank`): docs/results/learned.md.
 
 `python bench/learn.py --runs FOLDER [--scans FOLDER]` trains three seeds and four folds of left-out categories into the folder,
-or goes on there, and judges what they choose on r2h-v2, motion as planned. SCANS: a folder of meshes of yours. `--render` writes
-the page again from bench/results/learn.json.
+or goes on there, and judges what they choose on r2h-v2, motion as planned. SCANS: a folder of meshes of yours. Part `recipes`
+trains without two of the folds and judges on new instances of these, to choose a recipe by. `--render` writes the page again
+from bench/results/learn.json.
 """
 
 import argparse
 import json
 import sys
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -46,23 +47,41 @@ TURNED = 240
 """Trials of a split of the turn test."""
 STREAMED = 10**7
 """Pairs over which memory is measured."""
-NOW = 250
-"""Trials of a split on which the weights of today are compared with those that ship."""
 REGIONS, TRIALS_OF_REGIONS = "* x 2 seed 77", 1000
 """Instances that no network learned from, each with four regions at random; their trials."""
+RECIPES: dict[str, dict[str, Any]] = {
+    "12 items, 2 rounds": {"items": 12, "steps": 800, "rounds": 2, "mined_steps": 250},
+    "24 items, 3 rounds": {"items": 24, "steps": 1200, "rounds": 3, "mined_steps": 300},
+}
+"""Recipes that were compared before one of them became the default of `train rank`."""
+CHOSEN_BY, CHOICE = (1, 3), "{} x 4 seed 78"
+"""Folds without which they are trained; instances of these on which they are compared."""
+OWN_TRIALS, REGION_TRIALS = 400, 500
+"""Trials with these instances as they are, and with regions at random."""
+OTHER_ID = 1 << 50
+"""The first id of trials that no benchmark and no training of this bench has."""
+VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
+VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
+"""Steps on what cameras saw; trials of a split, and what is seen in them."""
+SEEING = {"Learned": "learned", "Learned from views": "learned,weights={}", "robust search": "robust"}
 KINDS = ("a part", "all but a part", "one side of a plane")
-SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
+FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
+"""Figures of this commit are of the weights that shipped before."""
+CAUSES = ("stability", "plan", "reach", "affordance", "safe")
+ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
 """Shipped rows whose objects receivers try to take."""
 
 
-def trained(place: Path, seed: int, leave_out: Sequence[str]) -> tuple[Path, dict[str, float]]:
-    """Weights, and CPU seconds of the parts of their training."""
+def trained(place: Path, seed: int, leave_out: Sequence[str], **other: Any) -> tuple[Path, dict[str, float]]:
+    """Weights, and CPU seconds of the parts of their training; `other` than the default recipe."""
     from r2h_batch import load_benchmark
     from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_ranker
 
-    name = f"seed{seed}" + "".join(f"-{c}" for c in leave_out)
-    path = train_ranker(load_benchmark("r2h-v2"), Recipe(seed=seed, leave_out=tuple(leave_out)), place / name)
+    default = Recipe()
+    changed = [f"{k}{v}" for k, v in other.items() if v != getattr(default, k)]
+    name = "-".join([f"seed{seed}", *changed, *leave_out])
+    path = train_ranker(load_benchmark("r2h-v2"), Recipe(seed=seed, leave_out=tuple(leave_out), **other), place / name)
     spent: dict[str, float] = torch.load(place / name / CHECKPOINT, weights_only=True)["spent"]
     return path, spent
 
@@ -290,31 +309,98 @@ class Bench:
             "scans, Intent": rates(judge, some, intent.predict(some, judge.scene)),
         }
 
-    def now(self) -> dict[str, Any]:
-        """The weights that ship and those of `train rank` now: on the benchmark, on regions at random of instances that neither
-        saw, and on meshes of a folder."""
+    def regions(self) -> dict[str, Any]:
+        """The first seed on regions at random of instances that it did not see, by their kind."""
         from r2h_batch.learning.instances import training_objects
+
+        path, _ = trained(self.options.runs, 0, ())
+        plain = training_objects(self.benchmark, REGIONS)
+        judged = self.regions_of(plain, TRIALS_OF_REGIONS, path)
+        return {"regions": {"objects": len(plain), **judged}}
+
+    def regions_of(self, plain: "tuple[ObjectModel, ...]", count: int, path: Path) -> dict[str, Any]:
+        """Success of the pose stage, percent, on instances with four regions at random each: all, and by kind of region."""
         from r2h_batch.learning.regions import with_regions
         from r2h_batch.methods import learned
 
-        plain = training_objects(self.benchmark, REGIONS)
         own = self.benchmark.with_objects(with_regions(plain, 4)[len(plain) :])
         judge = own.evaluator(threads=1)
-        trials = own.trials_with_ids(1 + 2 * torch.arange(TRIALS_OF_REGIONS))  # odd ones: S1
+        trials = own.trials_with_ids(OTHER_ID + 1 + 2 * torch.arange(count))  # odd ones: S1
         kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
-        found: dict[str, Any] = {"objects": len(plain), "kinds": {k: int((kinds == k).sum()) for k in KINDS}}
-        meshes = None if self.options.scans is None else scans(self.options.scans)
-        path, _ = trained(self.options.runs, 0, ())
-        for name, weights in (("that ship", None), ("of `train rank` now", path)):
-            answers = learned.predict(trials, judge.scene, weights=str(weights or ""))
-            won = judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages="pose").success.numpy()
-            told: dict[str, Any] = {"kinds": {k: 100 * float(won[kinds == k].mean()) for k in KINDS}}
-            told["96"] = self.judged(weights, self.benchmark.trials(NOW), self.evaluator)
-            if meshes is not None:
-                some = meshes.scene.benchmark.trials(self.options.scan_trials)
-                told["meshes"] = self.judged(weights, some, meshes)
-            found[name] = told
-        return {"now": found}
+        answers = learned.predict(trials, judge.scene, weights=str(path))
+        won = judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages="pose").success.numpy()
+        return {
+            "all": 100 * float(won.mean()), "trials": count,
+            "kinds": {k: {"sr": 100 * float(won[kinds == k].mean()), "of": int((kinds == k).sum())} for k in KINDS},
+        }  # fmt: skip
+
+    def recipes(self) -> dict[str, Any]:
+        """Each recipe without some categories, on new instances of these: what a recipe was chosen by."""
+        from r2h_batch.learning.instances import training_objects
+        from r2h_batch.methods import learned
+
+        found: dict[str, Any] = {name: {} for name in RECIPES}
+        for fold in CHOSEN_BY:
+            plain = training_objects(self.benchmark, CHOICE.format(",".join(FOLDS[fold])))
+            own = self.benchmark.with_objects(plain)
+            judge = own.evaluator(threads=1)
+            trials = own.trials_with_ids(OTHER_ID + torch.arange(OWN_TRIALS))
+            functional = np.array(trials.splits) == "S1"
+            for name, recipe in RECIPES.items():
+                path, _ = trained(self.options.runs, 0, FOLDS[fold], **recipe)
+                answers = learned.predict(trials, judge.scene, weights=str(path))
+                won = judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages="pose").success.numpy()
+                own_regions = {
+                    s: 100 * float(won[rows].mean()) for s, rows in (("s0", ~functional), ("s1", functional))
+                }
+                at_random = self.regions_of(plain, REGION_TRIALS, path)
+                found[name][str(fold)] = {**own_regions, "at random": at_random["all"]}
+                print(name, fold, found[name][str(fold)], flush=True)
+        return {"recipes": found}
+
+    def views(self) -> dict[str, Any]:
+        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, on what two posts
+        see."""
+        from r2h_batch.learning.observe_command import export
+        from r2h_batch.learning.rank import CHECKPOINT, LESSONS, SHIPPED, Recipe, train_on_views
+        from r2h_batch.report.table import table_of
+        from r2h_batch.runs.store import load_run
+
+        place = self.options.runs / "views"
+        start = time.process_time()
+        export(out=place / "shards", **VIEWS)
+        exported = time.process_time() - start
+        weights = train_on_views(place / "shards", Recipe(start=SHIPPED, steps=VIEW_STEPS), place / "rank")
+        spent = torch.load(place / "rank" / CHECKPOINT, weights_only=True)["spent"]
+        lessons = torch.load(place / "rank" / LESSONS.format(0), weights_only=True)["truth"]
+        found: dict[str, Any] = {"spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {}}
+        for name, text in SEEING.items():
+            method = text.format(weights.absolute())
+            words = (
+                "--method",
+                method,
+                "--sees",
+                VIEW,
+                "--sim",
+                "none",
+                "--trials",
+                VIEW_TRIALS,
+                "--threads",
+                1,
+                "--quiet",
+            )
+            run = load_run(swept(place / name.replace(" ", "-"), *words))
+            (title,) = run.methods
+            outcomes = Counter(run.trials(title)["outcome"].to_pylist())
+            told: dict[str, Any] = {"failed": {c: outcomes[c] for c in CAUSES}}
+            for line in table_of(run).rows:
+                if line.split != "Avg":
+                    sr = line.rates["sr"]
+                    assert sr is not None
+                    told[line.split] = [sr.percent, sr.low, sr.high]
+            found["rows"][name] = told
+            print(name, told, flush=True)
+        return {"views": found}
 
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
@@ -332,7 +418,7 @@ class Bench:
     def received(self) -> dict[str, Any]:
         """Whether receivers can take what it hands over."""
         of = self.options.received
-        return {"received": received(SHIPPED, of), "received_of": of}
+        return {"received": received(ROWS, of), "received_of": of}
 
     def generator(self) -> dict[str, Any]:
         """The generator of the examples."""
@@ -343,7 +429,10 @@ class Bench:
         return {"memory": memory()}
 
 
-PARTS = ("seeds", "variants", "folds", "scans", "now", "costs", "turned", "received", "generator", "memory")
+PARTS = (
+    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "costs"),
+    *("turned", "received", "generator", "memory"),
+)
 
 
 def measure(options: argparse.Namespace) -> dict[str, Any]:
@@ -372,12 +461,11 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {table}
 
-{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them too.
+{former}{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them
+  too.
 - Blind: the receiver's region is not told; the same weights.
-- These networks saw a piece of each object: the points with the first 256 numbers lie together. `train rank` now trains
-  networks that see points all over it.
 {left_out}{scans}
-{received}{now}{generator}## What it costs
+{received}{regions}{recipes}{views}{generator}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -394,24 +482,41 @@ Success in percent.{categories_note}
 
 
 MARK = {True: "success depends on the frame", False: "the frame decides nothing"}
+FORMER_WORDS = """- Of the weights that shipped before: {}. They are not measured again yet.
+"""
 LEFT_OUT = """- Left out: trained without these categories, and judged on their instances alone. Mean of the {} of S1: {:.1f}.
 """
 NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
 """
 SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others were. In S1 the seeds differ by {:.1f} points.
 """
-NOW_WORDS = """## What `train rank` learns now
+REGIONS_WORDS = """## Regions at random
 
-A cloud is in the order of the mesh's faces, so the networks above saw a piece of the object. They learned from regions of
-15 to 85 % of the surface, and most of these were one side of a plane. `r2h-batch train rank` now spreads the points over the
-object. It draws a third of [each kind](../training_loop.md#a-stream-to-learn-from) of region. A region has 5 to 95 % of the
-surface. The weights that ship are still those of seed 0 above. SR in percent; failures as above:
+A region is a part, all but a part, or one side of a plane ([how](../training_loop.md#a-stream-to-learn-from)). Success of the
+pose stage in percent on {count} new instances with such regions, which the network did not see (seed 0):
+
+{kinds}
+
+"""
+RECIPES_WORDS = """## How the recipe was chosen
+
+Each recipe was trained without the categories of {folds} of the folds, and judged on new instances of these categories alone
+(seed 0; success of the pose stage in percent, mean of the folds; {own} trials a fold with the families' regions, {other} with
+regions at random). No object and no trial of the benchmark, and no mesh of the folder, was looked at. An item is 256 trials.
+
+{recipes}
+
+"""
+VIEWS_WORDS = """## On what cameras see
+
+`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed, of {trials:,} trials
+with new instances ({export:.0f} CPU s to look and judge, {train:.0f} to learn). SR in percent of {of} trials a split of r2h-v2
+with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability / Plan / Reach /
+Affordance / Safe.
 
 {table}
 
-Success of the pose stage in percent on {count} new instances with regions at random, which neither network saw:
-
-{kinds}
+No method that sees is told the region, so in S1 Affordance stops all of them.
 
 """
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
@@ -457,6 +562,13 @@ def older_parts(data: Mapping[str, Any]) -> str:
     return "".join(f";\n{', '.join(parts)} of commit {commit}" for commit, parts in names.items())
 
 
+def former_words(data: Mapping[str, Any]) -> str:
+    """The line on rows of weights that shipped before."""
+    words = {"variants": "second round, blind", "folds": "left out", "scans": "own meshes"}
+    names = [told for part, told in words.items() if data["commits"].get(part) == FORMER]
+    return FORMER_WORDS.format("; ".join(names)) if names else ""
+
+
 def has(data: Mapping[str, Any], part: str) -> bool:
     """Whether the JSON holds figures of a part."""
     return bool(data.get({"variants": "blind", "costs": "labels"}.get(part, part)))
@@ -486,21 +598,36 @@ def cells(row: Mapping[str, Any]) -> list[str]:
     return told
 
 
-def now_words(own: Mapping[str, Any]) -> str:
-    """The section on the weights of `train rank` now."""
-    names = ("that ship", "of `train rank` now")
-    rows, kinds = [], []
-    for name in names:
-        told = own[name]
-        both = [cells(told[k]) if k in told else ["-", "-"] for k in ("96", "meshes")]
-        rows.append([f"weights {name}", *both[0], *both[1]])
-        kinds.append([f"weights {name}", *(f"{told['kinds'][k]:.1f}" for k in KINDS)])
-    heads = [f"{k} ({own['kinds'][k]} trials)" for k in KINDS]
-    return NOW_WORDS.format(
-        count=own["objects"],
-        table=markdown_table(["", "S0", "S1", "own meshes, S0", "own meshes, S1"], rows),
-        kinds=markdown_table(["", *heads], kinds),
-    )
+def regions_words(own: Mapping[str, Any]) -> str:
+    """The section on regions at random."""
+    heads = [f"{k} ({v['of']} trials)" for k, v in own["kinds"].items()]
+    rates = [f"{v['sr']:.1f}" for v in own["kinds"].values()]
+    return REGIONS_WORDS.format(count=own["objects"], kinds=markdown_table(heads, [rates]))
+
+
+def recipes_words(found: Mapping[str, Any]) -> str:
+    """The section on the recipes that were tried."""
+    rows = []
+    for name, folds in found.items():
+        means = [float(np.mean([own[k] for own in folds.values()])) for k in ("s0", "s1", "at random")]
+        rows.append([name, *(f"{x:.1f}" for x in means)])
+    return RECIPES_WORDS.format(
+        folds=len(CHOSEN_BY), own=OWN_TRIALS, other=REGION_TRIALS,
+        recipes=markdown_table(["recipe", "S0", "S1", "regions at random"], rows),
+    )  # fmt: skip
+
+
+def views_words(own: Mapping[str, Any]) -> str:
+    """The section on rankers that see."""
+    rows = []
+    for name, told in own["rows"].items():
+        sr = ["{:.1f} ({:.1f}-{:.1f})".format(*told[s]) for s in ("S0", "S1")]
+        rows.append([name, *sr, "/".join(str(x) for x in told["failed"].values())])
+    return VIEWS_WORDS.format(
+        pairs=own["pairs"], trials=VIEWS["shards"] * VIEWS["trials"], export=own["spent"]["export"],
+        train=own["spent"]["labels"] + own["spent"]["train"], of=VIEW_TRIALS,
+        table=markdown_table(["", "S0", "S1", "first failures"], rows),
+    )  # fmt: skip
 
 
 def generator_words(own: Mapping[str, Any]) -> str:
@@ -550,9 +677,12 @@ def markdown(data: Mapping[str, Any]) -> str:
         first=FIRST, second=NEAR, top=TOP,
         left_out=LEFT_OUT.format(len(functional), float(np.mean(functional))) if functional else NO_FOLDS,
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
+        former=former_words(data),
         turned=turned_words(data["turned"]) if "turned" in data else "",
         received=received_words(data) if "received" in data else "",
-        now=now_words(data["now"]) if "now" in data else "",
+        regions=regions_words(data["regions"]) if "regions" in data else "",
+        recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
+        views=views_words(data["views"]) if "views" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",

@@ -52,11 +52,15 @@ ORACLE = {"robust search": "oracle"}
 """Told the truth, a search has no error to reckon with."""
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 
+FORMER = "811f6d4563236a2e87c07986a9b392e267fe3994"
+"""Figures of this commit are of the ranker that shipped before."""
+FORMER_WORDS = " `Learned` has the weights that shipped before; it is not measured again yet."
+
 HEAD = """# Methods that see
 
 `python bench/sees.py` swept the built-in methods and `examples/grasp_seen.py` on r2h-v2, motion as planned, {trials} trials a
 split, by what they were [shown](../observe.md#methods-that-see) (bench/results/sees.json; commit {commit}, load {load:g} at the
-start). All rows are of the same trials.
+start). All rows are of the same trials.{former}
 
 ## Success
 
@@ -164,6 +168,7 @@ def markdown(data: Mapping[str, Any]) -> str:
     return HEAD.format(
         trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
         half=50 * max(high - low for low, high in widths),
+        former=FORMER_WORDS if data["commit"] == FORMER else "",
         table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
         categories=categories,
         causes=" / ".join(CAUSES),

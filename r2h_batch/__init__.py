@@ -2,10 +2,10 @@
 evaluator."""
 
 import os
-import sys
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from r2h_batch.base.imported import when_imported
 from r2h_batch.base.package import FOLDERS, VERSION, lazy_names
 
 if TYPE_CHECKING:
@@ -25,10 +25,14 @@ if os.environ.get("MUJOCO_GL", "").lower() == "osmesa":
     with suppress(ImportError):
         import triton  # noqa: F401
 
-if "gymnasium" in sys.modules:  # a second to import, so who did not is not made to wait
+
+def _register() -> None:
     from r2h_batch.closed_loop.registered import register
 
     register()
+
+
+when_imported("gymnasium", _register)  # a second to import, so who did not is not made to wait
 
 __version__ = VERSION
 

@@ -55,6 +55,18 @@ for name in COMMANDS:
 """
 
 
+JUDGED = """
+import sys
+from r2h_batch import Evaluator, load_benchmark
+from r2h_batch.methods import random
+judge, trials = Evaluator(), load_benchmark().trials(1)
+answer = random.predict(trials, judge.scene)
+assert len(judge.score(answer.T_obj_ee, answer.T_world_ee, trials).success) == 2
+slow = {"scipy", "trimesh", "matplotlib", "pandas", "mujoco_warp", "sympy"} & set(sys.modules)
+if slow: sys.exit(f"judging imports {slow}")
+"""
+
+
 @pytest.mark.parametrize("name", ["view", "report", "compare", "trials", "scene", "results reception"])
 def test_help_shows_lists_as_dots_and_no_empty_word(capsys, name):
     out = helped(capsys, *name.split())
@@ -64,6 +76,11 @@ def test_help_shows_lists_as_dots_and_no_empty_word(capsys, name):
 def test_the_help_of_a_command_loads_nothing_heavy():
     done = subprocess.run([sys.executable, "-c", HELP_OF_ALL], capture_output=True, text=True, check=False)
     assert done.returncode == 0 and done.stdout.count("usage: ") == len(COMMANDS), done.stderr
+
+
+def test_who_judges_waits_for_no_library_that_judging_does_not_need():
+    done = subprocess.run([sys.executable, "-c", JUDGED], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize(

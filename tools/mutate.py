@@ -131,7 +131,47 @@ T_RESTING = f"{T_PICK}::test_an_object_that_rests_is_as_far_from_the_robot_as_mu
 T_SAMPLED = f"{T_PICK}::test_verdicts_and_margins_are_those_of_sampled_ways"
 T_WAYS = f"{T_PICK}::test_the_path_ends_where_the_way_in_begins_and_ways_are_ten_centimetres"
 
+T_HOSTILE, CLOSED = "tests/scene/test_hostile_meshes.py", "r2h_batch/scene/mesh_import/closed.py"
+SOLID = "r2h_batch/scene/mesh_import/winding_solid.py"
+
+T_NAMED = "tests/view/test_environment.py::test_the_name_is_registered_whichever_of_the_two_is_imported_first"
+
 MUTATIONS = (
+    Mutation(
+        "gymnasium: who imports it after us does not find the environment",
+        "r2h_batch/base/imported.py",
+        "sys.meta_path.insert(0, _Watch(name, call))",
+        "pass",
+        (T_NAMED,),
+    ),
+    Mutation(
+        "mesh: rims are compared without a look at the clock",
+        CLOSED,
+        'budget.spend("comparing rims that may be two edges of one wall", i / len(rims))',
+        "pass",
+        (f"{T_HOSTILE}::test_rims_that_are_compared_with_each_other_end_within_the_time",),
+    ),
+    Mutation(
+        "mesh: sheets at one edge are not counted",
+        SOLID,
+        "if count > MOST_BODIES:",
+        "if False:",
+        (f"{T_HOSTILE}::test_sheets_at_one_edge_are_refused_before_they_become_a_solid",),
+    ),
+    Mutation(
+        "mesh: a long face's cuts are counted once",
+        SOLID,
+        "(4.0**cuts - 1)",
+        "(0.0 * cuts)",
+        (f"{T_HOSTILE}::test_long_faces_are_refused_before_their_pieces_take_the_memory",),
+    ),
+    Mutation(
+        "mesh: the time of a mesh is that of one thread",
+        "r2h_batch/scene/mesh_import/limits.py",
+        "used, now = time.process_time() - self._start",
+        "used, now = time.thread_time() - self._start",
+        (f"{T_HOSTILE}::test_the_time_of_a_mesh_counts_every_thread_of_the_process",),
+    ),
     Mutation(
         "the drivers weigh where MuJoCo's compiler puts them",
         GRASP_PHYSICS,
@@ -285,6 +325,13 @@ MUTATIONS = (
         "first + t * delta",
         "first + t * t * delta",
         (f"{T_PICK}::test_a_way_has_the_same_straight_lines_at_any_number_of_waypoints",),
+    ),
+    Mutation(
+        "progress: what was kept from before counts as speed",
+        "r2h_batch/base/io/progress.py",
+        "speed = (done - free) / (now - begin)",
+        "speed = done / (now - start)",
+        ("tests/base/test_progress.py::test_the_speed_is_that_of_what_had_to_be_done",),
     ),
     Mutation(
         "pick: the way up is never off its line",

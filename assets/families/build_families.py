@@ -2,10 +2,10 @@
 ``python -m r2h_batch.assets.families.build_families [--training build/families]``.
 
 Shipped: ``NAME.npz`` (an `ObjectModel`), ``grasps.npz`` and ``grasps_as_generated.npz`` with the arrays of assets/objects,
-``receiving.npz`` and, for the first two instances of a category, ``held_out.npz`` with those of assets/receiving, and
+``receiving.npz``, ``held_out.npz`` and ``capacity.npz`` with those of assets/receiving, and
 ``report.json``: parameters, size, mass, way of resting and digest of each. Hands are those of the built-in people (after
 build_people). Training instances have keys of their own, stay out of the wheel, and are objects alone.
-``--only receiving`` and ``--only held_out`` make one file anew, of the stored objects.
+``--only receiving`` makes that file anew, of the stored objects; ``--only held_out`` makes held_out.npz and capacity.npz.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.assets.hand.build_hand import write_npz
+from r2h_batch.assets.people.build_held_out import made
 from r2h_batch.data.people import people_hand
 from r2h_batch.methods.grasps import generate_grasps, sample_grasps
 from r2h_batch.scene.arrays import read_arrays
@@ -31,15 +32,16 @@ from r2h_batch.scene.families.draw import SHIPPED, TRAINING, Instance, draw_inst
 from r2h_batch.scene.families.family import FAMILIES
 from r2h_batch.scene.objects import OBJECT_NAMES, SAID, ObjectModel, load_objects, object_digest
 from r2h_batch.scene.objects import SHIPPED_INSTANCES as TESTS
-from r2h_batch.trials.holding.held_out import sample_held_out
 from r2h_batch.trials.holding.sampler import sample_receiving
 
 HERE = Path(__file__).resolve().parent
 LEARNED = 12
 """Training instances of a category."""
-HELD_OUT = 2
-"""Instances of a category that reception can judge without sampling."""
 GRASPS = ("T_obj_ee", "width", "score", "part")
+
+HOLDS = {"receiving": ("receiving",), "held_out": ("held_out", "capacity")}
+"""Files of hands that hold an instance, by what makes them."""
+FILES = ("grasps", "grasps_as_generated", *HOLDS["receiving"], *HOLDS["held_out"])
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -57,32 +59,41 @@ def built(series: int, held_out: bool, job: tuple[str, int]) -> tuple[ObjectMode
         found["receiving"] = sample_receiving(model, hand=people_hand())
         found["grasps"] = {k: getattr(filtered, k) for k in GRASPS}
         found["grasps_as_generated"] = {k: getattr(proposed, k) for k in GRASPS}
-    if held_out and series == SHIPPED and index < HELD_OUT:
-        found["held_out"] = sample_held_out(model, hand=people_hand())
+    if held_out and series == SHIPPED:
+        found |= hands_of(model, "held_out")
     named = {file: {f"{name}/{k}": v for k, v in arrays.items()} for file, arrays in found.items()}
     return model, named, described(instance, model) | {"cpu_s": round(time.process_time() - begin, 1)}
 
 
-def held(file: str, job: tuple[str, int]) -> tuple[str, Arrays, float]:
-    """A stored instance's name, its arrays of one of `HOLDS`, and the CPU seconds they took."""
+def hands_of(model: ObjectModel, what: str) -> dict[str, Arrays]:
+    """Arrays of an object by file: each of the files `HOLDS[what]`."""
+    if what == "receiving":
+        return {what: sample_receiving(model, hand=people_hand())}
+    return dict(zip(HOLDS[what], made(model), strict=True))
+
+
+def held(what: str, job: tuple[str, int]) -> tuple[str, dict[str, Arrays], float]:
+    """A stored instance's name, its arrays of each of the files `HOLDS[what]`, and the CPU seconds they took."""
     begin, name = time.process_time(), f"{job[0]}_{job[1]:02d}"
     (model,) = load_objects([name])
-    sample = sample_held_out if file == "held_out" else sample_receiving
-    found = sample(model, hand=people_hand())
-    return name, {f"{name}/{k}": v for k, v in found.items()}, time.process_time() - begin
+    named = {file: {f"{name}/{k}": v for k, v in arrays.items()} for file, arrays in hands_of(model, what).items()}
+    return name, named, time.process_time() - begin
 
 
-def make_only(file: str, jobs: list[tuple[str, int]], out: Path, pool: ProcessPoolExecutor) -> None:
-    """Writes one of `HOLDS` after each instance, so that what is made survives an interrupted run."""
-    path = out / f"{file}.npz"
-    known: Arrays = dict(read_arrays(path)) if path.exists() else {}
-    todo = [(c, i) for c, i in jobs if f"{c}_{i:02d}/side" not in known and (file != "held_out" or i < HELD_OUT)]
+def make_only(what: str, jobs: list[tuple[str, int]], out: Path, pool: ProcessPoolExecutor) -> None:
+    """Writes `HOLDS[what]` after each instance, so that what is made survives an interrupted run."""
+    files = HOLDS[what]
+    known = {f: read_arrays(p) if (p := out / f"{f}.npz").exists() else {} for f in files}
+    there = [{key.partition("/")[0] for key in known[f]} for f in files]
+    todo = [(c, i) for c, i in jobs if not all(f"{c}_{i:02d}" in names for names in there)]
     order = [f"{c}_{i:02d}" for c in OBJECT_NAMES for i in range(TESTS)]
-    for name, arrays, seconds in pool.map(partial(held, file), todo):
-        known |= arrays
-        left = int(arrays[f"{name}/side"].sum())
-        print(f"{name:20s} {len(arrays[f'{name}/side']) - left} right, {left} left, {seconds:5.1f} CPU-s", flush=True)
-        write_npz(path, {k: known[k] for n in order for k in known if k.startswith(f"{n}/")})
+    for name, found, seconds in pool.map(partial(held, what), todo):
+        left = int(found[files[0]][f"{name}/side"].sum())
+        right = len(found[files[0]][f"{name}/side"]) - left
+        print(f"{name:20s} {right} right, {left} left, {seconds:5.1f} CPU-s", flush=True)
+        for f in files:
+            known[f] |= found[f]
+            write_npz(out / f"{f}.npz", {k: known[f][k] for n in order for k in known[f] if k.startswith(f"{n}/")})
 
 
 def described(instance: Instance, model: ObjectModel) -> dict[str, Any]:
@@ -115,8 +126,10 @@ def main() -> None:
     parser.add_argument("names", nargs="*", help="categories, or instances such as cup_04; default: all categories")
     parser.add_argument("--training", type=Path, help="write the training instances into this folder instead")
     parser.add_argument("--count", type=int, help="instances of each category; default: 6 to ship, 12 to learn from")
-    parser.add_argument("--without-held-out", action="store_true", help="keep the stored held-out grasps")
-    parser.add_argument("--only", choices=HOLDS, help="make what this file lacks, of the stored instances")
+    parser.add_argument(
+        "--without-held-out", action="store_true", help="keep the stored held-out grasps and what they withstand"
+    )
+    parser.add_argument("--only", choices=tuple(HOLDS), help="make what these files lack, of the stored instances")
     parser.add_argument("--out", type=Path, default=HERE, help="folder to write (default: assets/families)")
     parser.add_argument("--jobs", type=int, default=1, help="instances made at a time; the result is the same")
     args = parser.parse_args()
@@ -147,10 +160,6 @@ def main() -> None:
         write_npz(out / f"{file}.npz", {k: known[k] for n in names for k in known if k.startswith(f"{n}/")})
     path.write_text(json.dumps({n: report[n] for n in names}, indent=1) + "\n")
 
-
-HOLDS = ("receiving", "held_out")
-"""Files of hands that hold an instance."""
-FILES = ("grasps", "grasps_as_generated", *HOLDS)
 
 if __name__ == "__main__":
     main()

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from r2h_batch.assets.hand.build_hand import write_npz
 from r2h_batch.data.people import people_hand
 from r2h_batch.scene.arrays import read_arrays
-from r2h_batch.scene.objects import OBJECT_NAMES, stored_objects
+from r2h_batch.scene.objects import OBJECT_NAMES, ObjectModel, stored_objects
 from r2h_batch.trials.holding.capacity import capacities
 from r2h_batch.trials.holding.held_out import sample_held_out
 from r2h_batch.trials.holding.receiving import FIELDS, ReceivingGrasps
@@ -26,9 +26,9 @@ from r2h_batch.trials.holding.receiving import FIELDS, ReceivingGrasps
 HERE = Path(__file__).resolve().parent
 
 
-def made(name: str) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
-    """Held-out grasps of one built-in object, and what they withstand."""
-    model, hand = stored_objects()[name], people_hand()
+def made(model: ObjectModel) -> tuple[dict[str, NDArray[Any]], dict[str, NDArray[Any]]]:
+    """Held-out grasps of an object with the built-in people's hand, and what they withstand."""
+    hand = people_hand()
     found = sample_held_out(model, hand=hand)
     none = torch.zeros(len(found["side"]), dtype=torch.int32)
     grasps = ReceivingGrasps(none, **{k: torch.from_numpy(found[k]) for k in FIELDS}, instruction=none, hand=hand)
@@ -44,7 +44,7 @@ def main() -> None:
     files = [args.out / "held_out.npz", args.out / "capacity.npz"]
     arrays = [dict(read_arrays(f)) if args.names and f.exists() else {} for f in files]
     for name in args.names or OBJECT_NAMES:
-        begin, parts = time.process_time(), made(name)
+        begin, parts = time.process_time(), made(stored_objects()[name])
         for file, there, part in zip(files, arrays, parts, strict=True):
             there |= {f"{name}/{key}": value for key, value in part.items()}
             write_npz(file, there)

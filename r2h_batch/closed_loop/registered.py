@@ -1,7 +1,7 @@
 """`HandoverEnv` under its name in Gymnasium's registry.
 
-`import r2h_batch` registers it if Gymnasium was imported before; this module, or any part of the closed
-loop, registers it always.
+`import r2h_batch` registers it once Gymnasium is imported, before or after. This module, or any part of
+the closed loop, imports Gymnasium and registers it.
 """
 
 import gymnasium

@@ -92,11 +92,11 @@ class Recipe:
     leave_out: tuple[str, ...] = ()
     regions: int = 2
     seed: int = 0
-    items: int = 12
-    steps: int = 800
-    rounds: int = 2
+    items: int = 24
+    steps: int = 1200
+    rounds: int = 3
     mined_items: int = 4
-    mined_steps: int = 250
+    mined_steps: int = 300
     start: str = ""
 
     def __post_init__(self) -> None:

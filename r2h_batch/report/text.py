@@ -24,28 +24,37 @@ NOTE = 98
 
 SHORT = 16
 """Characters of a short method name: `Contact-Handover` has as many."""
+SHORT_FOLDER = 9
+"""Characters of its run's folder, where that stands before it: `baselines` has as many."""
 
 
 def short_names(methods: Sequence[str]) -> dict[str, str]:
     """Shorten the names of methods for tables.
 
     A name first loses what it says in brackets (the stand-in of a network, the noise), then its
-    middle. If it then equals another one, it gets a number.
+    middle; a run's folder before it loses its end. If it then equals another one, it gets a number.
 
     Args:
         methods: names; one may stand there several times.
 
     Returns:
-        Full name -> a name of at most `SHORT` characters. All short names differ.
+        Full name -> a name of at most `SHORT` characters, or FOLDER/NAME with at most `SHORT_FOLDER` for the folder.
+        All short names differ.
     """
     names: dict[str, str] = {}
     for method in dict.fromkeys(methods):
         plain_name = method.partition(" (")[0].strip() or method
-        short = plain_name if len(plain_name) <= SHORT else f"{plain_name[:9]}..{plain_name[-5:]}"
+        folder, slash, own = (
+            plain_name.rpartition("/") if len(plain_name) > SHORT else ("", "", plain_name)
+        )
+        before = (
+            folder if len(folder) <= SHORT_FOLDER else f"{folder[: SHORT_FOLDER - 2]}.."
+        ) + slash
+        short = before + (own if len(own) <= SHORT else f"{own[:9]}..{own[-5:]}")
         for number in range(2, len(methods) + 2):
             if short not in names.values():
                 break
-            short = f"{plain_name[: SHORT - 1 - len(str(number))]}#{number}"
+            short = f"{before}{own[: SHORT - 1 - len(str(number))]}#{number}"
         names[method] = short
     return names
 

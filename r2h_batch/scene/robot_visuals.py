@@ -8,7 +8,6 @@ from typing import Any
 import airo_models
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -34,6 +33,8 @@ def urdf(path: Path) -> ElementTree.Element:
 
 def origin(element: ElementTree.Element) -> Array:
     """T_parent_child of a joint, or T_link_visual of a visual."""
+    from scipy.spatial.transform import Rotation  # 0.3 s, and only a model of MuJoCo's needs it
+
     node = element.find("origin")
     T = np.eye(4)
     if node is not None:

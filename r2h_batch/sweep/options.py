@@ -84,7 +84,7 @@ class Flags:
     method: Annotated[
         tuple[str, ...],
         Flag(
-            "fc, handover-va, contact, intent, random, oracle; your own: package.module:function, "
+            f"{', '.join(METHOD_NAMES)}; your own: package.module:function, "
             "FILE.py:function or NAME=FILE.py:function; with options: contact,gate=ik",
         ),
     ] = ()

@@ -3,6 +3,8 @@
 import base64
 import json
 import os
+import threading
+import time
 import warnings
 
 import numpy as np
@@ -51,6 +53,42 @@ def test_a_repair_that_takes_too_long_ends_with_one_line_that_says_where(monkeyp
     fan = trimesh.Trimesh(corners, [(0, k + 1, k + 2) for k in range(1198)], process=False)
     refused(fan, "more than 0.3 s of CPU time", "rebuilding the surface of", "; decimate it")
     assert "object: " in capsys.readouterr().err
+
+
+def at_one_edge(count):
+    """Faces that share the edge of vertices 0 and 1."""
+    corners = np.random.default_rng(0).uniform(0, 0.1, (count + 2, 3))
+    return trimesh.Trimesh(corners, [(0, 1, k) for k in range(2, count + 2)], process=False)
+
+
+def test_rims_that_are_compared_with_each_other_end_within_the_time(monkeypatch):
+    monkeypatch.setattr(closed, "Budget", lambda label: Budget(label, seconds=0.5))
+    start = time.process_time()
+    refused(at_one_edge(8000), "more than 0.5 s of CPU time", "comparing rims that may be two edges of one wall")
+    assert time.process_time() - start < 4
+
+
+def test_sheets_at_one_edge_are_refused_before_they_become_a_solid():
+    refused(at_one_edge(1500), "its open surface is 1", "at most 1000 are allowed: close its surface")
+
+
+def test_long_faces_are_refused_before_their_pieces_take_the_memory():
+    refused(at_one_edge(900), "more, at most 1000000 are allowed: close its surface")
+
+
+def test_the_time_of_a_mesh_counts_every_thread_of_the_process():
+    budget = Budget("x", seconds=0.3)
+
+    def work():
+        start = time.thread_time()
+        while time.thread_time() - start < 0.5:
+            np.sort(np.random.default_rng(0).uniform(size=100_000))
+
+    other = threading.Thread(target=work)
+    other.start()
+    other.join()
+    with pytest.raises(ObjectMeshError, match=r"more than 0\.3 s of CPU time"):
+        budget.spend("waiting for a thread")
 
 
 @pytest.mark.usefixtures("own_process")

@@ -60,6 +60,8 @@ def test_a_submission_is_listed_with_the_rows_that_it_had(bundle, tmp_path, caps
     [
         (lambda n, d: (n, d[:-9] + bytes([d[-9] ^ 1]) + d[-8:] if "shards/" in n else d), "sha256"),
         (lambda n, d: (n.replace("run/table.md", "run/../table.md"), d), "points outside the archive"),
+        (lambda n, d: (n.replace("run/table.md", "run/" + "x" * 1000), d), "longer name than 1000 letters"),
+        (lambda n, d: (n.replace("run/table.md", "run/" + "a/" * 40 + "x"), d), "deeper than 32 folders"),
         (lambda n, d: (n.replace("run/table.md", "table.md"), d), "r2h-batch submit writes run/..."),
     ],
 )

@@ -58,7 +58,25 @@ def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
         gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", render_mode="human", **SMALL)
 
 
-def test_importing_the_package_after_gymnasium_registers_the_name():
-    code = "import gymnasium, r2h_batch; print(gymnasium.spec('r2h_batch/Handover-v1').id)"
+@pytest.mark.parametrize(
+    "imports",
+    [
+        "import gymnasium, r2h_batch",
+        "import r2h_batch, gymnasium",
+        "import r2h_batch; from gymnasium.vector import VectorEnv; import gymnasium",
+        "import r2h_batch, importlib.util as u; assert u.find_spec('gymnasium').origin; import gymnasium",
+    ],
+)
+def test_the_name_is_registered_whichever_of_the_two_is_imported_first(imports):
+    code = (
+        f"{imports}; print(gymnasium.spec('r2h_batch/Handover-v1').id, type(gymnasium.__spec__.loader).__name__,"
+        " type(gymnasium.__loader__).__name__)"
+    )
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
-    assert found.stdout.strip() == ID
+    assert found.stdout.split() == [ID, "SourceFileLoader", "SourceFileLoader"]
+
+
+def test_importing_the_package_imports_no_gymnasium():
+    code = "import sys, r2h_batch; print('gymnasium' in sys.modules)"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
+    assert found.stdout.strip() == "False"

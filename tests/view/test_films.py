@@ -1,8 +1,5 @@
 """Films: what they say, what they show at the end, and that they say how far they are."""
 
-import re
-import threading
-import time
 from dataclasses import replace
 
 import mujoco
@@ -10,8 +7,6 @@ import numpy as np
 import pytest
 from needs import needs
 
-from r2h_batch.base.io import progress as steps
-from r2h_batch.base.io.log import LOG
 from r2h_batch.view import pictures
 from r2h_batch.view.drawing import DIRECTIONS_DEG, Drawing, view_of
 from r2h_batch.view.mjcf import MARK
@@ -114,27 +109,6 @@ def test_a_camera_is_chosen_by_what_it_sees(reader):
     other = view_of([again], 4 / 3)
     assert (other.azimuth_deg, other.elevation_deg) != (chosen.azimuth_deg, chosen.elevation_deg)
     assert len(again.sides) == len(DIRECTIONS_DEG)
-
-
-def test_long_work_says_how_far_it_is_and_short_work_nothing(monkeypatch):
-    said = []
-    monkeypatch.setattr(LOG, "info", said.append)
-    with steps.progress("film", 10, "pictures") as told:
-        for _ in range(10):
-            told(1)
-    assert not said
-    heard = threading.Semaphore(0)
-    monkeypatch.setattr(LOG, "info", lambda line: (said.append(line), heard.release()))
-    with steps.progress("film", 10, "pictures", first_s=0.01, every_s=0.01) as told:
-        assert heard.acquire(timeout=20)  # though the first picture is not there yet
-        told(4)
-        assert any(heard.acquire(timeout=20) and "4/10" in said[-1] for _ in range(100))
-        told(6)
-    assert re.fullmatch(r"film: 0/10 pictures after \d+ s", said[0]), said
-    assert re.fullmatch(r"film: 4/10 pictures, [\d.]+ pictures/s, \d+ s left", said[-1]), said
-    number = len(said)
-    time.sleep(0.05)
-    assert len(said) == number, "nothing is said of what has ended"
 
 
 def test_a_film_tells_how_far_it_is_in_python_too(reader, tmp_path, monkeypatch):

@@ -14,6 +14,8 @@ FIRST_S = 4.0
 """Work that takes longer gets its first line about then."""
 EVERY_S = 15.0
 """Between further lines."""
+FREE_S = 1.0
+"""Steps done by then may have been kept from before: the speed is that of the others."""
 _bars: list[str] = []
 """Names of the bars that are on the terminal, one at a time: what is done inside of it has lines."""
 
@@ -56,18 +58,19 @@ def progress(
     ended = threading.Event()
 
     def speak() -> None:
-        wait = first_s
+        free = 0 if ended.wait(min(FREE_S, first_s / 2)) else done
+        begin = time.perf_counter()
+        wait = start + first_s - begin
         while not ended.wait(wait):
             wait = every_s
-            passed = time.perf_counter() - start
-            if 0 < done < total:
-                left = (total - done) / (done / passed)
-                LOG.info(
-                    f"{name}: {done}/{total} {unit}, {done / passed:.1f} {unit}/s, {left:.0f} s left"
-                )
+            now = time.perf_counter()
+            if free < done < total:
+                speed = (done - free) / (now - begin)
+                left = (total - done) / speed
+                LOG.info(f"{name}: {done}/{total} {unit}, {speed:.1f} {unit}/s, {left:.0f} s left")
             elif done < total:
-                so_far = f"0/{total} {unit} after " if total > 1 else ""
-                LOG.info(f"{name}: {so_far}{passed:.0f} s{'' if so_far else ' so far'}")
+                so_far = f"{done}/{total} {unit} after " if total > 1 else ""
+                LOG.info(f"{name}: {so_far}{now - start:.0f} s{'' if so_far else ' so far'}")
 
     def count(n: int) -> None:
         nonlocal done

@@ -33,6 +33,8 @@ MAX_HEADER_BYTES = 1 << 20
 """Largest directory of an archive: some thousand names."""
 MAX_RATIO, RATIO_FREE_BYTES = 200, 1 << 20
 """Largest compression ratio of an archive's member; smaller members may have any ratio."""
+MAX_NAME, MAX_FOLDERS, MAX_SHOWN = 1000, 32, 80
+"""Longest name of an archive's member, folders in it, letters of it that a message shows."""
 MAX_YAML_BYTES, MAX_YAML_DEPTH = 1 << 20, 4
 MAX_JSON_BYTES = 64 << 20  # a parsed JSON takes about 20 times its size
 
@@ -215,10 +217,12 @@ def archive_members(
     read = [m for m, name in zip(members, names, strict=True) if only is None or name in only]
     for m in read:
         if what := _wrong_member(m):
-            raise FileError(f"{shown}: member {m.orig_filename!r} {what}")
+            raise FileError(f"{shown}: member {m.orig_filename[:MAX_SHOWN]!r} {what}")
     if len(set(names)) != len(names):
         twice = max(names, key=names.count)
-        raise FileError(f"{shown}: duplicate member {twice!r}; every name may appear once")
+        raise FileError(
+            f"{shown}: duplicate member {twice[:MAX_SHOWN]!r}; every name may appear once"
+        )
     if (total := sum(m.file_size for m in read)) > size:
         raise FileError(f"{shown}: declares {total} bytes; at most {size} are allowed: split it")
     end = archive.start_dir
@@ -226,7 +230,9 @@ def archive_members(
         header = zipfile.sizeFileHeader + len(m.orig_filename)  # type: ignore[attr-defined]
         if m.header_offset + header + m.compress_size > end:
             name = m.orig_filename
-            raise FileError(f"{shown}: member {name!r} overlaps another; write the archive again")
+            raise FileError(
+                f"{shown}: member {name[:MAX_SHOWN]!r} overlaps another; write the archive again"
+            )
         end = m.header_offset
     return read
 
@@ -237,6 +243,10 @@ def _wrong_member(m: zipfile.ZipInfo) -> str:
     parts = PurePosixPath(name.replace("\\", "/"))
     if ".." in parts.parts or parts.is_absolute() or name[1:2] == ":" or "\0" in name:
         return "points outside the archive; nothing is extracted"
+    if len(name) > MAX_NAME or len(parts.parts) > MAX_FOLDERS:
+        return (
+            f"has a longer name than {MAX_NAME} letters or lies deeper than {MAX_FOLDERS} folders"
+        )
     if stat.S_ISLNK(m.external_attr >> 16):
         return "is a symbolic link; only plain members are allowed"
     if m.flag_bits & 0x1:

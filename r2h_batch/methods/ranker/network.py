@@ -22,7 +22,7 @@ WIDTH, CODE, POINT = 192, 96, 48
 CUT = 6.0
 """Features count up to so many deviations."""
 UNNAMED = ("stability", "plan", "reach", "affordance", "safe")
-"""Criteria of a file of weights that names none, as the shipped one."""
+"""Criteria of a file of weights that names none, as the first that shipped."""
 _CRITERIA, _LAST = "criteria", "head.6.bias"
 _OTHER = "holds weights of another network"
 _GIVE = "give a file that r2h-batch train rank wrote with this version"

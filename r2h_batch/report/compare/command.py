@@ -56,6 +56,7 @@ def compare(
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.statistics.shares import hits_on
+    from r2h_batch.report.text import plain
     from r2h_batch.report.trained import sentences
     from r2h_batch.report.turn import turned
 
@@ -63,14 +64,19 @@ def compare(
     check_few(categories)
     stored = load_runs(runs, method)
     common = common_trials(stored, proven=stored_rows(), across_robots=across_robots)
-    paired = statistics.pair_up(stored, common)
+    some_stored = [is_stored(run) for run in stored]
+    one = sum(some_stored) == 1  # two of them would have one name
+    folders = [
+        BASELINES if here and one else run.folder.absolute().name
+        for run, here in zip(stored, some_stored, strict=True)
+    ]
+    paired = statistics.pair_up(stored, common, folders)
     shipped = [is_stored(stored[k]) for k in paired.runs]
     not_shipped = [n for n, s in zip(paired.names, shipped, strict=True) if not s]
     some = any(shipped) and not all_pairs
     mine = not_shipped if some else ()
     comparisons = statistics.compare(paired, mine=mine, seed=seed, few=categories)
     header = stored[0].header
-    folders = (BASELINES if is_stored(r) else r.folder.name for r in stored)
     origin = {
         "runs": ", ".join(folders),
         "protocol": str(header["protocol"]),
@@ -91,7 +97,7 @@ def compare(
     ]
     known = [f"{NOTE}: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
-    learned = [line for r in stored for line in sentences(r)]
+    learned = [plain(line) if format == "md" else line for r in stored for line in sentences(r)]
     notes = (*common.notes, *paired.notes, *marked, *learned, *(known if held else ()))
     shares = {
         n: {

@@ -234,7 +234,9 @@ def holm(p: Sequence[float]) -> np.ndarray:
     runs=sequence_of(Run, "what load_run(FOLDER) gives"),
     common=optional(instance_of(Common, "what common_trials(RUNS) gives")),
 )
-def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
+def pair_up(
+    runs: Sequence[Run], common: Common | None = None, called: Sequence[str] | None = None
+) -> Paired:
     """All methods of the runs, paired on the trial id.
 
     A method that several runs hold with the same source and the same successes counts once: Holm's
@@ -243,6 +245,7 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     Args:
         runs: what `load_run` gives.
         common: what they share, if `common_trials` was called before.
+        called: what each run is called where two of its methods have one name; None: as its folder.
 
     Raises:
         ValueError: if the runs were not asked the same trials, a method is not complete, or fewer
@@ -250,11 +253,12 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
     """
     common = common or common_trials(runs)
     streams = []
-    for run in runs:
+    places = [run.folder.absolute().name for run in runs] if called is None else called
+    for run, place in zip(runs, places, strict=True):
         if run.unfinished:
             words = f"{run.unfinished[0]!r} is not complete; run its sweep again to go on"
             raise ValueError(f"{run.folder}: {words}")
-        streams += [_Stream(run, method, common.trials) for method in run.methods]
+        streams += [_Stream(run, method, common.trials, place) for method in run.methods]
     if len(streams) < 2:
         only = ", ".join(s.method for s in streams) or "none"
         raise ValueError(f"one method ({only}) is nothing to compare; give a second run")
@@ -271,12 +275,12 @@ def pair_up(runs: Sequence[Run], common: Common | None = None) -> Paired:
         raise ValueError(f"two runs of one name hold {twice!r}; rename a folder")
     notes = [f"{s.run.folder}: {s.method} is given twice, and counted once." for s in left_out]
     kept = paired.only[:, once][:, :, once]
-    places = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
+    numbers = tuple(next(k for k, run in enumerate(runs) if run is streams[i].run) for i in once)
     bounds = tuple(n for n, i in zip(names, once, strict=True) if streams[i].is_bound)
     hits = paired.hits[:, once]
     own = tuple(streams[i].method for i in once)
     return Paired(
-        tuple(names), paired.trials, hits, kept, tuple(notes), places, bounds, paired.category, own
+        tuple(names), paired.trials, hits, kept, tuple(notes), numbers, bounds, paired.category, own
     )
 
 
@@ -334,8 +338,7 @@ def _names(streams: Sequence["_Stream"]) -> list[str]:
     for s in streams:
         name = robots[s.run.robot] + s.method
         taken = name in names or (not s.is_built_in and _plain(s.method) in own)
-        folder = printable(s.run.folder.absolute().name)
-        names.append(f"{folder}/{s.method}" if taken else name)
+        names.append(f"{printable(s.place)}/{s.method}" if taken else name)
     return names
 
 
@@ -347,8 +350,8 @@ def _plain(method: str) -> str:
 class _Stream:
     """A method's rows on the shared trials, in pieces."""
 
-    def __init__(self, run: Run, method: str, trials: Mapping[str, int]) -> None:
-        self.run, self.method, self.trials = run, method, trials
+    def __init__(self, run: Run, method: str, trials: Mapping[str, int], place: str) -> None:
+        self.run, self.method, self.trials, self.place = run, method, trials, place
         entry, header = run.entry(method), run.header
         function = entry.source.get("function", "")
         self.is_built_in = function.startswith("r2h_batch.methods.")

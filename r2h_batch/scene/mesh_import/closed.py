@@ -272,7 +272,7 @@ def _solid(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> trimesh.Tr
     rest = part_of(mesh, ~sheet)
     loose = _open_bodies(rest)
     size = float(mesh.extents.max())
-    closed, opened = part_of(rest, ~loose), _filled(part_of(rest, loose), size, done)
+    closed, opened = part_of(rest, ~loose), _filled(part_of(rest, loose), size, budget, done)
     loose = _open_bodies(opened)
     closed = joined([closed, part_of(opened, ~loose)])
     opened = joined([part_of(opened, loose), part_of(mesh, sheet)])
@@ -357,7 +357,7 @@ def _without_slivers(
     return part_of(mesh, ~drop), sheet[~drop]
 
 
-def _filled(mesh: trimesh.Trimesh, size: float, done: list[str]) -> trimesh.Trimesh:
+def _filled(mesh: trimesh.Trimesh, size: float, budget: Budget, done: list[str]) -> trimesh.Trimesh:
     """The mesh with rims that run side by side joined, and holes and flat openings of few corners
     closed by a fan around the middle of their rim; `size` is the object's largest side, m."""
     if not len(mesh.faces):
@@ -370,10 +370,11 @@ def _filled(mesh: trimesh.Trimesh, size: float, done: list[str]) -> trimesh.Trim
     mesh = trimesh.Trimesh(mesh.vertices[origin], split, process=False)
     vertices, faces = [np.asarray(mesh.vertices)], [np.asarray(mesh.faces)]
     middle, holes, openings = len(mesh.vertices), 0, 0
-    strips, rims = _lips(mesh, JOIN_SHARE * size)
+    strips, rims = _lips(mesh, JOIN_SHARE * size, budget)
     if strips:
         done.append(f"joined {len(strips)} pairs of rims that run side by side")
-    for rim in rims:
+    for n, rim in enumerate(rims):
+        budget.spend("filling holes", n / len(rims))
         ring = mesh.vertices[rim]
         large = np.linalg.norm(ring - np.roll(ring, 1, axis=0), axis=1).sum() > longest
         if large and not _is_polygon(ring):
@@ -400,7 +401,7 @@ def _filled(mesh: trimesh.Trimesh, size: float, done: list[str]) -> trimesh.Trim
 
 
 def _lips(
-    mesh: trimesh.Trimesh, gap: float
+    mesh: trimesh.Trimesh, gap: float, budget: Budget
 ) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
     """Strips of faces (N, 3) between rims that are nowhere farther apart than `gap` (m), and the
     other rims."""
@@ -409,6 +410,7 @@ def _lips(
     free = np.ones(len(rims), bool)
     large = (boxes[:, 3:] - boxes[:, :3]).max(axis=1) > 4 * gap  # smaller rims bound holes
     for i in np.flatnonzero(large):
+        budget.spend("comparing rims that may be two edges of one wall", i / len(rims))
         similar = free & large & (np.abs(boxes - boxes[i]).max(axis=1) <= gap)
         for j in i + 1 + np.flatnonzero(similar[i + 1 :]):
             strip = _strip(mesh.vertices, rims[i], rims[j], gap) if free[i] else None

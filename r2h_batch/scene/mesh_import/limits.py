@@ -26,17 +26,18 @@ class ObjectMeshError(UserError):
 
 
 class Budget:
-    """CPU time of this thread for one mesh. `spend` between pieces of work: a line on stderr after
-    5 s and every 5 s from then on, an `ObjectMeshError` once the time is used up."""
+    """CPU time of this process, kernels' workers too, for one mesh. `spend` between pieces of work: a
+    line on stderr after 5 s and every 5 s from then on, an `ObjectMeshError` once the time is used
+    up."""
 
     def __init__(self, label: str, seconds: float = MOST_SECONDS) -> None:
         self.label, self.seconds = label, seconds
-        self._start, self._said = time.thread_time(), time.monotonic()
+        self._start, self._said = time.process_time(), time.monotonic()
 
     def spend(self, doing: str, share: float | None = None) -> None:
         """Say what is being done, and `share` (0 to 1) of it that is; refuse to go on when there is
         no time left."""
-        used, now = time.thread_time() - self._start, time.monotonic()
+        used, now = time.process_time() - self._start, time.monotonic()
         part = "" if share is None else f" ({100 * share:.0f} %)"
         if used > self.seconds:
             raise ObjectMeshError(

@@ -15,7 +15,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
-from r2h_batch.scene.mesh_import.limits import Budget, ObjectMeshError
+from r2h_batch.scene.mesh_import.limits import MOST_BODIES, Budget, ObjectMeshError
 from r2h_batch.scene.mesh_import.manifold import connected_bodies, joined, part_of, simplified
 from r2h_batch.scene.solid import Surface
 
@@ -35,6 +35,10 @@ LEVELS = 4
 """Cells are halved this many times from coarse to fine."""
 AT_ONCE = 32_768
 SPECK_CELLS = 4
+LONGEST_SHARE = 1 / 16
+"""Edges longer than this share of the largest side are cut: long needles make trees of boxes slow."""
+MOST_CUT_FACES = 1_000_000
+"""Faces at most that such cuts may add."""
 MOST_FACES = 20_000
 
 # igl's order of a cell's corners
@@ -62,13 +66,15 @@ def winding_solid(mesh: trimesh.Trimesh, budget: Budget, done: list[str]) -> tri
         ObjectMeshError: The surfaces enclose nothing, or the time is used up.
     """
     area = float(mesh.area)
-    return joined([_solid_of_group(part, area, budget, done) for part in _groups(mesh)])
+    groups = _groups(mesh, budget.label)
+    return joined([_solid_of_group(part, area, budget, done) for part in groups])
 
 
 def _solid_of_group(
     mesh: trimesh.Trimesh, area: float, budget: Budget, done: list[str]
 ) -> trimesh.Trimesh:
     doing = f"rebuilding the surface of {len(mesh.faces)} faces"
+    _check_cuts(mesh, budget.label)
     field = _Field(mesh, lambda: budget.spend(doing))
     coarsest = max(field.size * COARSEST_SHARE, FINEST_M)
     fine, coarse = (
@@ -101,6 +107,22 @@ def _solid_of_group(
     return made
 
 
+def _check_cuts(mesh: trimesh.Trimesh, label: str) -> None:
+    """Refuse a mesh whose long faces become too many when they are cut.
+
+    Each cut of a face, at the middle of its three edges, makes four.
+    """
+    t = mesh.triangles
+    edge = np.linalg.norm(t - np.roll(t, -1, axis=1), axis=2).max(axis=1)
+    cuts = np.ceil(np.log2(edge.clip(1e-12) / (mesh.extents.max() * LONGEST_SHARE))).clip(0)
+    if (more := float((4.0**cuts - 1).sum())) > MOST_CUT_FACES:
+        raise ObjectMeshError(
+            f"{label}: {int((cuts > 0).sum())} open faces are longer than a {round(1 / LONGEST_SHARE)}th of the object; "
+            f"cut to that they would be {more:.2g} more, at most {MOST_CUT_FACES} are allowed: close its surface in a "
+            "modelling tool"
+        )
+
+
 def _cell_size(field: _Field, thickness: F64, fine: float, coarse: float) -> float:
     """Cells (m) between `fine` and `coarse` that suit all but the thinnest twentieth of the
     surface."""
@@ -117,9 +139,8 @@ class _Field:
 
         self.tick = tick
         self.size = float(mesh.extents.max())
-        # Long needles make trees of boxes slow: faces are cut to a sixteenth of the size.
         vertices, faces = trimesh.remesh.subdivide_to_size(
-            mesh.vertices, mesh.faces, self.size / 16, max_iter=20
+            mesh.vertices, mesh.faces, self.size * LONGEST_SHARE, max_iter=20
         )[:2]
         fine = trimesh.Trimesh(vertices, faces, process=False)
         fine.update_faces(fine.area_faces > 0)
@@ -273,10 +294,15 @@ def _indices(keys: I64) -> I64:
     return np.stack([keys >> 42, (keys >> 21) & low, keys & low], axis=1) - 1024
 
 
-def _groups(mesh: trimesh.Trimesh) -> list[trimesh.Trimesh]:
+def _groups(mesh: trimesh.Trimesh, label: str) -> list[trimesh.Trimesh]:
     """The bodies of the mesh, those together whose bounding boxes are near each other."""
     body = connected_bodies(mesh)[0]
     count, t = int(body.max()) + 1, mesh.triangles
+    if count > MOST_BODIES:
+        raise ObjectMeshError(
+            f"{label}: its open surface is {count} sheets, which meet at an edge of three faces or more, or not at all; "
+            f"at most {MOST_BODIES} are allowed: close its surface in a modelling tool"
+        )
     low, high = np.full((count, 3), np.inf), np.full((count, 3), -np.inf)
     np.minimum.at(low, body, t.min(axis=1))
     np.maximum.at(high, body, t.max(axis=1))

@@ -124,8 +124,8 @@ def load_held_out(
 
     Args:
         objects: whose grasps. Those of built-in objects on the built-in hand are stored, and on the built-in people's those
-            of r2h-v1's objects and of the first two instances of each family; others are sampled once, a CPU minute
-            each, and kept on disk (`io.cache`).
+            of r2h-v1's and r2h-v2's objects; others are sampled once, half a CPU minute each, and kept on disk
+            (`io.cache`).
         hand: whose hands; None: the built-in one.
         only: indices of the objects that are needed; None: all. Grasps of others are there if an
             earlier call needed them.
@@ -168,6 +168,7 @@ def _no_grasps() -> dict[str, NDArray[Any]]:
     }
 
 
+@lru_cache(maxsize=4)
 def stored_of_hand(name: str, hand: HandModel) -> dict[str, NDArray[Any]]:
     """OBJECT/FIELD -> array of a shipped file about this hand's held-out grasps; nothing of another than the built-in hands."""
     if hand is load_hand():

@@ -66,6 +66,12 @@ def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_
     assert main(["compare", str(tmp_path / "mine"), "baselines"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "is given twice, and counted once" in text and "and 76 more objects. None of them is tested here." in text
+    other = ["--method", "random", "--seed", "3", "--trials", "4", "--sim", "none", "--out", str(tmp_path / "own")]
+    assert sweep(other) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "own"), "baselines"]) == 0
+    text = capsys.readouterr().out
+    assert "baselines/random" in text and ".." not in text and "as-planned" not in text
     assert main(["report", str(tmp_path / "mine"), "baselines", "--format", "csv"]) == 0
     assert "Contact-Handover" in capsys.readouterr().out
     baselines = load_benchmark().baselines()

@@ -8,10 +8,12 @@ import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
 
+from r2h_batch import load_benchmark
 from r2h_batch.data.people import people_hand
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import load_objects, turned
 from r2h_batch.trials.holding import capacity as programs_of
+from r2h_batch.trials.holding import held_out as sampled
 from r2h_batch.trials.holding.capacity import (
     FORM,
     GRIP_BASE_N,
@@ -129,7 +131,9 @@ def test_programs_over_contacts_are_linprogs(contacts):
     assert contacts < 12 or (carried.sum() == 8 and (most > 0.1).all())
 
 
-@pytest.mark.parametrize("name, hand", [("bowl", load_hand), ("pliers", load_hand), ("cup", people_hand)])
+@pytest.mark.parametrize(
+    "name, hand", [("bowl", load_hand), ("pliers", load_hand), ("cup", people_hand), ("hammer_04", people_hand)]
+)
 def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name, hand, monkeypatch):
     def asked(*args):
         raise AssertionError("computed")
@@ -147,6 +151,19 @@ def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name, 
         assert getattr(stored, field)[rows] == pytest.approx(made[field], rel=1e-6, abs=1e-6), field
     carries = (stored.total_n > 0) == np.isfinite(held_out.grip_n.numpy())
     assert carries.mean() > 0.9  # the rest: friction needs more than MOST_GRIP_N, or contacts at the very cutoff
+
+
+def test_hands_on_all_objects_of_the_default_benchmark_are_shipped_with_what_they_withstand(monkeypatch):
+    def asked(*args, **words):
+        raise AssertionError("sampled at first use")
+
+    monkeypatch.setattr(sampled, "sample_held_out", asked)
+    monkeypatch.setattr(programs_of, "of_held_out", asked)
+    benchmark = load_benchmark()
+    held_out = load_held_out(benchmark.objects, people_hand())
+    every = Withstood.of(benchmark.objects, held_out.grasps.hand)
+    per_object = np.bincount(held_out.grasps.object_index.numpy(), minlength=len(benchmark.objects))
+    assert len(per_object) == 96 and per_object.min() > 100 and len(every.total_n) == per_object.sum()
 
 
 def test_a_turned_object_has_the_capacities_of_its_own_frame():
