@@ -107,7 +107,7 @@ def ranged(simulator: Any, handed: Any) -> dict[str, Any]:
     orders: dict[str, list[set[str]]] = {number: [] for number in NUMBERS}
     for words, change in changes.items():
         one = Simulator(simulator.robot, simulator.models.objects, Setting(**change), simulator.seed)
-        made = {c.release: m.transfers for c, m in zip(cases, one(handed, cases), strict=True)}
+        made = {c.release: m.transfers for c, m in zip(cases, one.once(handed, cases), strict=True)}
         taken = {r: np.array([o == "taken" for o in t.outcome], bool) for r, t in made.items()}
         found["settings"][words] = {
             r: {

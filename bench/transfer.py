@@ -188,7 +188,7 @@ Shares of the weight over time. Times are inputs, not validated: we chose how fa
 ## Cost
 
 A transfer takes {ms:.0f} ms of one core (process time, policies and scenarios as above, with the closing of the gripper shared;
-load of the machine at the start {load}). A grasp of `results held` takes {held_ms:.0f} ms. {memory}
+load of the machine at the start {load}). {halved}A grasp of `results held` takes {held_ms:.0f} ms. {memory}
 """
 
 
@@ -300,7 +300,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "sensitivity": sensitivity,
         "compared": compared,
         "engines": parts.get("engines", lambda: agreement(simulator, received[:AGREE])),
-        "core_ms": parts.get("cost", lambda: cost(simulator, received, cases[:4])),
+        "core_ms": parts.get("cost", lambda: cost(simulator, received, cases[: len(SCENARIO) * len(RELEASE)])),
         "memory": parts.get(
             "memory", lambda: memory_over(options.memory, lambda done: again(simulator, received, done))
         ),
@@ -362,13 +362,14 @@ def block_of(
         t = [m[k].transfers for m in made]
         numbers = {n: np.concatenate([getattr(one, n) for one in t]).tolist() for n in ROW_NUMBERS}
         outcome = [o for one in t for o in one.outcome]
-        marks = np.concatenate([one.undecided for one in t])
+        marks, halved = (np.concatenate([getattr(one, n) for one in t]) for n in ("undecided", "halved"))
         ends.append(
             {
                 "release": case.release,
                 "scenario": case.scenario,
                 "outcome": outcome,
                 "undecided": marks.tolist(),
+                "halved": halved.tolist(),
                 **numbers,
             }
         )
@@ -389,7 +390,7 @@ def together(blocks: list[dict[str, Any]], few: dict[str, Any]) -> dict[str, Any
     def joined(key: str) -> list[Any]:
         return [x for b in blocks for x in b[key]]
 
-    every = {k: [x for b in blocks for x in b["cases"][0][k]] for k in ("outcome", "undecided", *ROW_NUMBERS)}
+    every = {k: [x for b in blocks for x in b["cases"][0][k]] for k in ("outcome", "undecided", "halved", *ROW_NUMBERS)}
     every |= {k: blocks[0]["cases"][0][k] for k in ("release", "scenario")}
     taken = np.array([o == "taken" for o in every["outcome"]], bool)
     weight = np.array(joined("weight_n"))
@@ -423,7 +424,7 @@ def stepped(run: Any, judge: Any, name: str, simulator: Any) -> dict[str, Any]:
     marks = [m.transfers.undecided for m in base]
     for words, times in (("h/2", 2), ("h/4", 4)):
         setting = Setting(steps=times * STEPS)
-        other = Simulator(simulator.robot, simulator.models.objects, setting, simulator.seed)(handed, cases)
+        other = Simulator(simulator.robot, simulator.models.objects, setting, simulator.seed).once(handed, cases)
         found[words] = [
             {
                 "case": f"{one.case.release}, {one.case.scenario}",
@@ -535,7 +536,7 @@ def summary(case: dict[str, Any], won: list[bool]) -> dict[str, Any]:
         "release": case["release"],
         "scenario": case["scenario"],
         "outcomes": dict(Counter(case["outcome"])),
-        "undecided": int(sum(case["undecided"])),
+        **{k: int(sum(case[k])) for k in ("undecided", "halved")},
         "taken_and_success": int((taken & np.array(won, bool)).sum()),
         **{k: median(case[k]) for k in ("pull_n", "grip_n", "transfer_s")},
         **{f"t{s}_s": median(share[:, k]) for k, s in enumerate((10, 50, 90))},
@@ -550,7 +551,7 @@ def varied(simulator: Any, handed: Any) -> tuple[dict[str, Any], int]:
     cases = [Case(r, s, 0) for r, s in COMPARED]
 
     def outcomes(one: Any) -> list[str]:
-        return [o for made in one(handed, cases) for o in made.transfers.outcome]
+        return [o for made in one.once(handed, cases) for o in made.transfers.outcome]
 
     base, found = outcomes(simulator), {}
     for name, change in CHANGES.items():
@@ -569,7 +570,7 @@ def agreement(simulator: Any, handed: Any) -> dict[str, Any]:
     cases = [Case(r, s, 0) for r, s in COMPARED]
     batched = BatchedSimulator(simulator.robot, simulator.models.objects, simulator.setting, simulator.seed)
     found: dict[str, Any] = {"trials": len(handed), "cases": {}}
-    for one, (two, doubt) in zip(simulator(handed, cases), batched.worlds(handed, cases), strict=True):
+    for one, (two, doubt) in zip(simulator.once(handed, cases), batched.worlds(handed, cases), strict=True):
         a, b, sure = one.transfers, two.transfers, ~doubt
         pairs = [(x, y) for x, y, s in zip(a.outcome, b.outcome, sure, strict=True) if s and x != y]
         same = sure & np.array([x == y for x, y in zip(a.outcome, b.outcome, strict=True)], bool)
@@ -696,8 +697,16 @@ def markdown(data: dict[str, Any]) -> str:
         **{k: oracle[f"{k}_s"] for k in ("t10", "t50", "t90", "transfer")},
         grip=oracle["grip_n"],
         ms=data["core_ms"],
+        halved=halved_text(data["methods"]),
         load=data["hardware"]["load_at_start"],
     )
+
+
+def halved_text(methods: dict[str, Any]) -> str:
+    """How many touches ask for half the step."""
+    touches = [c for m in methods.values() for c in m["cases"] if c["scenario"] == "touch" and "halved" in c]
+    count, n = sum(c["halved"] for c in touches), sum(sum(c["outcomes"].values()) for c in touches)
+    return f"{100 * count / n:.0f} % of the touches are simulated with half the step too. " if n else ""
 
 
 def memory_text(memory: dict[str, Any]) -> str:

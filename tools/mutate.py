@@ -1557,6 +1557,20 @@ MUTATIONS = (
         (f"{T_TRANSFER}::test_what_hangs_on_the_opening_fingers_is_undecided",),
     ),
     Mutation(
+        'undecided: half the step is asked of nothing that slides',
+        "r2h_batch/closed_loop/transfer/simulate.py",
+        'self.untouched_slip_m > SLIDES_M',
+        'self.untouched_slip_m > 2 * SLIDES_M',
+        (f"{T_TRANSFER}::test_what_slides_under_a_finger_is_simulated_with_half_the_step_too_and_marked_where_that_ends_otherwise",),
+    ),
+    Mutation(
+        'undecided: the half step is the whole one',
+        "r2h_batch/closed_loop/transfer/cases.py",
+        'transfers=replace(one.transfers, other_end=other)',
+        'transfers=one.transfers',
+        (f"{T_TRANSFER}::test_what_slides_under_a_finger_is_simulated_with_half_the_step_too_and_marked_where_that_ends_otherwise",),
+    ),
+    Mutation(
         'surplus: the most of it is of the end',
         "r2h_batch/closed_loop/transfer/outcome.py",
         'most = self.surplus_n.maximum(surplus_n)',

@@ -113,7 +113,7 @@ def write_transfer_film(
         kept.append(_Recorder(*args))
         return kept[-1]
 
-    (made,) = Simulator(scene.robot, objects, Setting(), 0, worlds)(handed, [case])
+    (made,) = Simulator(scene.robot, objects, Setting(), 0, worlds).once(handed, [case])
     model = _shown(
         scene.robot, objects[handed.object_index[0]], handed, _hand(found, handed, scene), size
     )

@@ -76,14 +76,15 @@ class BatchedSimulator:
         self._batch: tuple[tuple[list[int], int], Batch] | None = None
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
-        """Every row in every case; where the worlds are doubtful, as MuJoCo C has it."""
-        return [self._decided(handed, made, doubt) for made, doubt in self.worlds(handed, cases)]
+        """Every row in every case; where the worlds are doubtful, as MuJoCo C has it, which also knows half the step."""
+        made = [self._decided(handed, made, doubt) for made, doubt in self.worlds(handed, cases)]
+        return self.exact.marked(handed, made)
 
     def worlds(self, handed: Handed, cases: Sequence[Case]) -> list[tuple[Transferred, Doubtful]]:
         """Every row in every case as the worlds have it, and whether MuJoCo C has to simulate it."""
         n = len(handed)
         if not n:
-            return [(made, np.zeros(0, bool)) for made in self.exact(handed, cases)]
+            return [(made, np.zeros(0, bool)) for made in self.exact.once(handed, cases)]
         worlds = (
             1 << (n - 1).bit_length()
         )  # a few sizes only: worlds stand from one group to the next
@@ -131,7 +132,7 @@ class BatchedSimulator:
     def _decided(self, handed: Handed, made: Transferred, doubt: Doubtful) -> Transferred:
         if not doubt.any():
             return made
-        (exact,) = self.exact(handed[doubt], [made.case])
+        (exact,) = self.exact.once(handed[doubt], [made.case])
         outcome = list(made.transfers.outcome)
         for i, ours in zip(np.flatnonzero(doubt).tolist(), exact.transfers.outcome, strict=True):
             outcome[i] = ours

@@ -5,10 +5,10 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
-from typing import Any, NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, Protocol, TypeVar
 
 import numpy as np
 import torch
@@ -23,7 +23,7 @@ from r2h_batch.closed_loop.transfer.own_release import maker_of
 from r2h_batch.closed_loop.transfer.person import SCENARIOS, Hands, Persons, draw_persons
 from r2h_batch.closed_loop.transfer.simulate import Transfers, noise_of, simulate
 from r2h_batch.closed_loop.transfer.worlds import Worlds
-from r2h_batch.closed_loop.transfer.worlds_mujoco import Models, MujocoWorlds
+from r2h_batch.closed_loop.transfer.worlds_mujoco import Closed, Models, MujocoWorlds
 from r2h_batch.judge.motion.simulation import warnings_unwritten
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
@@ -79,21 +79,58 @@ class Simulator:
         self.holding = Holding(self.models)
 
     def __call__(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
-        """Every row in every case; the gripper closes once for each row."""
+        """Every row in every case, with half the step too where `Transfers.halved`."""
+        return self.marked(handed, self.once(handed, cases))
+
+    def once(self, handed: Handed, cases: Sequence[Case]) -> list[Transferred]:
+        """Every row in every case at the step of the setting alone; the gripper closes once for each row."""
         with warnings_unwritten():
             closed = [self.models.close(handed[i : i + 1]) for i in range(len(handed))]
-            return [self._one(handed, closed, case) for case in cases]
+            return [self._one(self.models, handed, closed, c, self.worlds) for c in cases]
+
+    def marked(self, handed: Handed, made: Sequence[Transferred]) -> list[Transferred]:
+        """The same transfers, with the mark of those that half the step ends otherwise.
+
+        Args:
+            handed: N handovers.
+            made: of these, in any engine.
+        """
+        closed: dict[int, Closed] = {}
+        with warnings_unwritten():
+            return [self._marked(handed, one, closed) for one in made]
+
+    def _marked(self, handed: Handed, one: Transferred, closed: dict[int, Closed]) -> Transferred:
+        """One case; grippers that are not among the closed ones yet close with half the step."""
+        rows = np.flatnonzero(one.transfers.halved)
+        if not len(rows):
+            return one
+        finer = self.holding.finer
+        for i in set(rows.tolist()) - set(closed):
+            closed[i] = finer.close(handed[i : i + 1])
+        own = [closed[i] for i in rows.tolist()]
+        half = self._one(finer, handed[rows], own, one.case, MujocoWorlds).transfers
+        other = one.transfers.other_end.copy()
+        other[rows] = np.array(half.outcome) != np.array(one.transfers.outcome)[rows]
+        return replace(one, transfers=replace(one.transfers, other_end=other))
 
     def hold(self, gripped: Gripped) -> Holds:
         """Which objects the closed grippers hold."""
         with warnings_unwritten():
             return self.holding(gripped)
 
-    def _one(self, handed: Handed, closed: list[Any], case: Case) -> Transferred:
-        persons = persons_of(handed, case, self.setting)
-        worlds = self.worlds(closed, persons.arm_n_m, self.robot, self.setting)
+    def _one(
+        self,
+        models: Models,
+        handed: Handed,
+        closed: Sequence[Closed],
+        case: Case,
+        worlds: Callable[..., Worlds],
+    ) -> Transferred:
+        setting = models.setting
+        persons = persons_of(handed, case, setting)
+        made = worlds(closed, persons.arm_n_m, self.robot, setting)
         com_closed = torch.from_numpy(np.array([c.com_closed for c in closed]))
-        return transferred(worlds, com_closed, handed, case, persons, self.setting, self.seed)
+        return transferred(made, com_closed, handed, case, persons, setting, self.seed)
 
 
 def persons_of(handed: Handed, case: Case, setting: Setting) -> Persons:

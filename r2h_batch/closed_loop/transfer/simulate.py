@@ -29,6 +29,8 @@ NOISE_N = 0.5
 """Noise of the wrist's sensor, one sigma an axis [choice]; a UR5e's own sensor is coarser."""
 NEAR_N = NOISE_N
 """A decision by less than this, one sigma of a reading, is undecided."""
+SLIDES_M = 0.002
+"""An object that slides by more under a finger is simulated with half the step too."""
 SENSOR_TICKS = 1
 """The policy sees the force this late."""
 BACK = (0.2, 0.15, 0.10)
@@ -47,6 +49,7 @@ class Transfers:
 
     Attributes:
         outcome: `Outcome` of each.
+        other_end: half the step ends otherwise; False: it does not, or the row is not `halved`.
         surplus_n: by how much the policy's readings exceeded what lets go, the most of them until the fingers moved
             (`release.Action`). Also NaN: it let go while the hand had not pulled with its largest force yet.
         decided_s: from the beginning of the person's grip until the policy let go.
@@ -64,6 +67,7 @@ class Transfers:
     """
 
     outcome: list[str]
+    other_end: Bool[NDArray[np.bool_], " n"]
     surplus_n: Float64[NDArray[np.float64], " n"]
     decided_s: Float64[NDArray[np.float64], " n"]
     release_share: Float64[NDArray[np.float64], " n"]
@@ -80,7 +84,19 @@ class Transfers:
 
     @property
     def undecided(self) -> Bool[NDArray[np.bool_], " n"]:
-        """Which outcomes hang on less than the model knows.
+        """Which outcomes hang on less than the model knows: half the step ends otherwise, or `near_limit`."""
+        return self.other_end | self.near_limit
+
+    @property
+    def halved(self) -> Bool[NDArray[np.bool_], " n"]:
+        """Which transfers are simulated with half the step too: after somebody had touched it, and did not grip, the object slid
+        by more than `SLIDES_M` in the closed gripper, and nothing is `near_limit`."""
+        slid = self.robot_slip_m - self.untouched_slip_m > SLIDES_M
+        return slid & ~self.near_limit
+
+    @property
+    def near_limit(self) -> Bool[NDArray[np.bool_], " n"]:
+        """Which outcomes hang on a number that is near its limit.
 
         A slip or a turn decides, and it is between a `FACTOR`th and `FACTOR` times of its limit. Or the policy let go, or did
         not, by less than `NEAR_N`: not where a hand had not pulled with its largest force yet, which would have gone on. Or the
@@ -245,6 +261,7 @@ def _transfers(book: Book) -> Transfers:
 
     return Transfers(
         book.outcomes(),
+        np.zeros(len(book.code), bool),
         happened(book.surplus_n),
         happened(book.decided_s - BEGIN_S),
         here(book.release_share),

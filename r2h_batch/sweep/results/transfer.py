@@ -27,7 +27,7 @@ from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.closed_loop.transfer.outcome import FACTOR, Outcome
 from r2h_batch.closed_loop.transfer.own_release import release_of
 from r2h_batch.closed_loop.transfer.person import SCENARIOS
-from r2h_batch.closed_loop.transfer.simulate import NEAR_N
+from r2h_batch.closed_loop.transfer.simulate import NEAR_N, SLIDES_M
 from r2h_batch.judge.reception import reception
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
@@ -80,7 +80,8 @@ NOTES = (
     " less than 30 degrees. Outcomes are percent of n. Brackets: 95 % over trials, each with persons of its own (Wilson; where"
     " a trial has several persons, a t interval over trials).",
     f"undecided: a slip or turn that decides is between 1/{FACTOR:g} and {FACTOR:g} times of its limit, the policy decided by"
-    f" less than {NEAR_N:g} N, or the object hung on the opening fingers: another time step may end otherwise.",
+    f" less than {NEAR_N:g} N, the object hung on the opening fingers, or it slid by more than {1e3 * SLIDES_M:g} mm under a"
+    " finger and half the time step ends otherwise.",
     "Persons: percent taken by the weaker and the firmer half of the grips, and by the stiffer half of the arms. touch: a finger"
     " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"

@@ -22,7 +22,7 @@ from r2h_batch.closed_loop.transfer.model import STEPS, TICK_S, Setting
 from r2h_batch.closed_loop.transfer.outcome import FACTOR, Book
 from r2h_batch.closed_loop.transfer.own_release import maker_of, release_of
 from r2h_batch.closed_loop.transfer.person import draw_persons
-from r2h_batch.closed_loop.transfer.simulate import NEAR_N, Transfers
+from r2h_batch.closed_loop.transfer.simulate import NEAR_N, SLIDES_M, Transfers
 from r2h_batch.closed_loop.transfer.worlds import Seen
 from r2h_batch.plugins import Registry
 
@@ -89,7 +89,7 @@ def falls(slips_mm: list[float], opens_at: int | None = None) -> tuple[str, floa
 
 def ended(outcome: str, **numbers: float) -> bool:
     """Whether a transfer that ended so is undecided; nothing slipped, and the policy's readings left no doubt."""
-    own = {"slip_m": 0.0, "turn_deg": 0.0, "robot_slip_m": 0.0, "surplus_n": 9.0, **numbers}
+    own = {"other_end": False, "slip_m": 0.0, "turn_deg": 0.0, "robot_slip_m": 0.0, "surplus_n": 9.0, **numbers}
     values = {
         f.name: np.array([own.get(f.name, np.nan)]) for f in fields(Transfers) if f.name not in ("outcome", "share_s")
     }
@@ -146,6 +146,27 @@ def test_what_lets_go_or_does_not_by_less_than_a_reading_is_known_is_undecided()
 def test_what_hangs_on_the_opening_fingers_is_undecided():
     assert ended("stuck") and ended("taken", decided_s=0.4, transfer_s=1.2)
     assert not ended("taken", decided_s=0.4, transfer_s=1.1)
+
+
+def test_what_slides_under_a_finger_is_simulated_with_half_the_step_too_and_marked_where_that_ends_otherwise():
+    """Half the step is told to end otherwise: an object that does not slide is not asked, nor is one that is marked already."""
+    handed, case = screwdrivers(4), Case("load-share", "touch", 0)
+    simulator = Simulator(ROBOT, OBJECTS, Setting(), seed=0)
+    (made,) = simulator.once(handed, [case])
+    assert made.transfers.outcome == ["kept"] * 4
+    slid_m = np.array([0.0, 1.1, 0.9, 1.1]) * SLIDES_M + 0.002
+    numbers = {
+        "untouched_slip_m": np.full(4, 0.002),
+        "robot_slip_m": slid_m,
+        "surplus_n": np.array([-9.0, -9.0, -9.0, 0.1]),
+    }
+    told = replace(made, transfers=replace(made.transfers, outcome=["false_release"] * 4, **numbers))
+    (found,) = simulator.marked(handed, [told])
+    assert found.transfers.other_end.tolist() == [False, True, False, False]
+    assert found.transfers.undecided.tolist() == [False, True, False, True]
+    assert found.transfers.outcome == ["false_release"] * 4  # outcomes stay
+    same = replace(told, transfers=replace(told.transfers, outcome=["kept"] * 4))
+    assert not simulator.marked(handed, [same])[0].transfers.other_end.any()
 
 
 def test_the_least_surplus_over_some_time_is_positive_where_each_reading_was():
