@@ -138,6 +138,13 @@ T_NAMED = "tests/view/test_environment.py::test_the_name_is_registered_whichever
 
 MUTATIONS = (
     Mutation(
+        "view: a visitor that is no browser is a traceback",
+        "r2h_batch/view/page.py",
+        "quiet.propagate, quiet.disabled = False, True",
+        "pass",
+        ("tests/view/test_view.py::test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it",),
+    ),
+    Mutation(
         "gymnasium: who imports it after us does not find the environment",
         "r2h_batch/base/imported.py",
         "sys.meta_path.insert(0, _Watch(name, call))",

@@ -1,5 +1,6 @@
 """Trials in a browser: a drawing in a viser scene, as one page without a server, and in notebooks."""
 
+import logging
 import socket
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
@@ -214,6 +215,7 @@ def new_server(port: int) -> Any:
     class ServeOwnPage(sockets.serve):
         def __init__(self, handler: Any, host: str, port: int, **options: Any) -> None:
             options["origins"] = [f"http://{name}:{port}" for name in ("127.0.0.1", "localhost")]
+            options["logger"] = _nobody()
             guarded.append(port)
             super().__init__(_without_traceback(handler), host, port, **options)
 
@@ -229,6 +231,13 @@ def new_server(port: int) -> Any:
         words = f"viser {viser.__version__} does not let the viewer refuse pages of others"
         raise UsageError(f"{words}; install the version in constraints.txt")
     return server
+
+
+def _nobody() -> logging.Logger:
+    """A logger that prints nothing: websockets writes a traceback for each visitor that is no browser."""
+    quiet = logging.getLogger("r2h_batch.view.connections")
+    quiet.propagate, quiet.disabled = False, True
+    return quiet
 
 
 def _without_traceback(

@@ -2,6 +2,7 @@
 
 import base64
 import re
+import socket
 import subprocess
 from io import BytesIO
 from pathlib import Path
@@ -141,6 +142,9 @@ def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end
     try:
         port = server.get_port()
         how = {"subprotocols": [f"viser-v{viser.__version__}"], "open_timeout": 10, "compression": None}
+        for words in (b"", b"\0\xff\r\n\r\n"):  # a visitor that is no browser
+            with socket.create_connection(("127.0.0.1", port), timeout=10) as visitor:
+                visitor.sendall(words)
         for origin in (f"http://evil.example:{port}", f"http://127.0.0.1:{port + 1}", "null", None):
             with pytest.raises(InvalidStatus) as refused, connect(f"ws://127.0.0.1:{port}", origin=origin, **how):
                 pass
