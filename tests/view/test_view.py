@@ -130,7 +130,7 @@ def test_the_viewer_lists_what_is_filtered_and_a_folders_words_are_text_and_no_m
         viewer.stop()
 
 
-def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it(capfd):
+def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it(capfd, caplog):
     """Any page in a browser can open a websocket to this machine; its Origin says whose it is."""
     import viser
     from websockets.exceptions import ConnectionClosed, InvalidStatus
@@ -164,6 +164,7 @@ def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end
     finally:
         stop_server(server)
     said = capfd.readouterr().err
+    assert [r.message for r in caplog.records if r.exc_info] == []
     assert "Traceback" not in said and said.count("view: a page sent a broken message") == 16, said[-2000:]
 
 
