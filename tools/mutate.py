@@ -138,6 +138,13 @@ T_NAMED = "tests/view/test_environment.py::test_the_name_is_registered_whichever
 
 MUTATIONS = (
     Mutation(
+        "seen: a pipe that a method made not wait is a traceback",
+        "r2h_batch/observe/messages.py",
+        'head = pipe.read(_LENGTH.size) or b""',
+        "head = pipe.read(_LENGTH.size)",
+        ("tests/observe/test_apart.py::test_a_pipe_that_no_longer_waits_is_one_that_has_ended",),
+    ),
+    Mutation(
         "view: a visitor that is no browser is a traceback",
         "r2h_batch/view/page.py",
         "quiet.propagate, quiet.disabled = False, True",

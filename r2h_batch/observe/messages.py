@@ -35,7 +35,7 @@ def send(pipe: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def receive(pipe: IO[bytes], most: int) -> dict[str, NDArray[Any]] | None:
-    """The arrays of the next message; None: the other process has ended.
+    """The arrays of the next message; None: the other process has ended, or the pipe does not wait for it.
 
     Args:
         pipe: from the other process.
@@ -44,13 +44,13 @@ def receive(pipe: IO[bytes], most: int) -> dict[str, NDArray[Any]] | None:
     Raises:
         MessageError: a longer message, or bytes that no `send` wrote. The pipe is of no use then.
     """
-    head = pipe.read(_LENGTH.size)
+    head = pipe.read(_LENGTH.size) or b""  # None: somebody made the pipe not wait
     if len(head) < _LENGTH.size:
         return None
     (size,) = _LENGTH.unpack(head)
     if size > most:
         raise MessageError(f"a message of {size} bytes; at most {most} are taken")
-    data = pipe.read(size)
+    data = pipe.read(size) or b""
     if len(data) < size:
         return None
     message = io.BytesIO(data)

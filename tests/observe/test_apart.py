@@ -12,6 +12,7 @@ from rounds import each
 
 from r2h_batch.base.errors import UserError
 from r2h_batch.observe.apart import Apart
+from r2h_batch.observe.messages import receive
 from r2h_batch.observe.seeing import look
 from r2h_batch.observe.seen import Observation, packed, unpacked
 
@@ -231,3 +232,10 @@ def test_a_process_that_was_killed_is_started_anew_and_one_that_nobody_asks_ends
     assert second != first and alive(second)
     del apart
     assert not alive(second)
+
+
+def test_a_pipe_that_no_longer_waits_is_one_that_has_ended():
+    ends = os.pipe()
+    os.set_blocking(ends[0], False)  # a method can do so to a pipe that it finds
+    with os.fdopen(ends[0], "rb") as pipe, os.fdopen(ends[1], "wb"):
+        assert receive(pipe, 100) is None
