@@ -138,6 +138,13 @@ T_NAMED = "tests/view/test_environment.py::test_the_name_is_registered_whichever
 
 MUTATIONS = (
     Mutation(
+        "trained on: names are not counted",
+        "r2h_batch/sweep/jobs.py",
+        "if len(names) > MOST_TRAINED_ON:",
+        "if False:",
+        ("tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on",),
+    ),
+    Mutation(
         "seen: a pipe that a method made not wait is a traceback",
         "r2h_batch/observe/messages.py",
         'head = pipe.read(_LENGTH.size) or b""',
@@ -1285,8 +1292,8 @@ MUTATIONS = (
     Mutation(
         'trained on: a method is judged on what it learned',
         'r2h_batch/sweep/jobs.py',
-        'if any(fnmatchcase(model.name, pattern) for pattern in told):',
-        'if model.name in told and len(told) > 99:',
+        'if fnmatchcase(model.name, pattern)\n        ]:',
+        'if model.name == pattern and len(names) > 99\n        ]:',
         ('tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on',),
     ),
     Mutation(
