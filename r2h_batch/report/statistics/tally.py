@@ -12,13 +12,13 @@ from r2h_batch.report.statistics.codes import first_failures, judged_by, states
 from r2h_batch.report.statistics.shares import counted_shares, with_shares
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, EVERY, SPLITS, Outcome
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
 _WORDS = ("object", "split", "outcome")
-_KEYS = [*_WORDS, *(f"passed_{c}" for c in CRITERIA)]
+_KEYS = [*_WORDS, *(f"passed_{entry.name}" for entry in EVERY)]
 _PIECES = 64
 """Number of shards' counts that are added up together."""
 
