@@ -27,6 +27,7 @@ MEASURES = (
     "r2h_batch/judge/straight_way.py",
     "r2h_batch/methods/from_table.py",
     "r2h_batch/methods/oracle.py",
+    "r2h_batch/observe/known.py",
     "r2h_batch/observe/moment.py",
     "r2h_batch/protocols/r2h_v3_draft.py",
     "r2h_batch/scene/resting.py",

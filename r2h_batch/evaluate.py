@@ -473,7 +473,7 @@ class Evaluator(Prepared):
         if "pick" not in self.benchmark.asks:
             return None
         from r2h_batch.judge.pick import judge_picks
-        from r2h_batch.observe.moment import known_moments
+        from r2h_batch.observe.known import known_moments
 
         active = torch.nonzero(held.active)[:, 0]  # a hand that is no pose has no moment
         T_world_obj = torch.eye(4, dtype=torch.float32, device=active.device).repeat(

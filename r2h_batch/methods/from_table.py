@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base import rng
 from r2h_batch.judge.pick import Picked, picked
-from r2h_batch.observe.moment import known_moments
+from r2h_batch.observe.known import known_moments
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CollidingPair, Trials
 

@@ -31,8 +31,6 @@ STRIDE = 4
 """A ray for this many pixels each way counts them."""
 RESTING_M = 0.0005
 """Points this near to the lowest one carry the object [choice]."""
-MOST_KNOWN = 1 << 16
-"""Moments that `KnownMoments` keeps."""
 _PLACE = 0  # purpose of the random counters
 
 Array = NDArray[np.float64]
@@ -81,43 +79,6 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
             "objects out, or use a larger table"
         ) from None
     return torch.from_numpy(found).float().to(trials.trial_id.device)
-
-
-class KnownMoments:
-    """Moments of a scene's trials, each drawn once: a method that searches asks for the same trials again and again.
-
-    Args:
-        scene: as of `moments`.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._known: dict[bytes, Tensor] = {}
-
-    def of(self, trials: Trials) -> Float32[Tensor, "n 4 4"]:
-        """As `moments`.
-
-        Args:
-            trials: N trials.
-        """
-        decide = [trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand]
-        decide += [] if trials.receiver is None else [trials.receiver]
-        rows = ([row.tobytes() for row in x.cpu().numpy()] for x in decide)
-        keys = [b"".join(parts) for parts in zip(*rows, strict=True)]
-        if len(self._known) + len(keys) > MOST_KNOWN:
-            self._known.clear()
-        if new := [i for i, key in enumerate(keys) if key not in self._known]:
-            drawn = moments(self._scene, trials[new])
-            self._known |= zip((keys[i] for i in new), drawn, strict=True)
-        if not keys:
-            return moments(self._scene, trials)
-        return torch.stack([self._known[key] for key in keys])
-
-
-@lru_cache(maxsize=4)
-def known_moments(scene: Scene) -> KnownMoments:
-    """Those of a scene, for all its evaluators."""
-    return KnownMoments(scene)
 
 
 @lru_cache(maxsize=1024)

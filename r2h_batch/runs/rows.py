@@ -56,7 +56,7 @@ KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 )
 """Schemas for an arm of six joints and a benchmark that asks for nothing more; `schema_of_kind` gives others."""
 
-LATER_COLUMNS = tuple(later("trials"))
+LATER_COLUMNS = tuple(name for name in later("trials") if name in TRIAL_SCHEMA.names)
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
 

@@ -17,7 +17,7 @@ from r2h_batch.judge.scores import verdict
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.from_table import BACKS, MOST_BACK_M, picked_grasps
 from r2h_batch.observe import moments
-from r2h_batch.observe.moment import KnownMoments
+from r2h_batch.observe.known import KnownMoments
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.report.statistics.thresholds import rethreshold
@@ -179,7 +179,7 @@ def test_moments_are_drawn_once_and_are_those_of_any_draw(judge, monkeypatch):
     whole = moments(judge.scene, trials)
     assert torch.equal(known.of(trials[[4, 1]]), whole[[4, 1]])
     assert torch.equal(known.of(trials), whole)
-    monkeypatch.setattr("r2h_batch.observe.moment.moments", None)  # it is not asked again
+    monkeypatch.setattr("r2h_batch.observe.known.moments", None)  # it is not asked again
     assert torch.equal(known.of(trials[[5, 0, 4]]), whole[[5, 0, 4]])
     moved = replace(trials[:1], T_world_hand=trials.T_world_hand[:1] + 1e-3)
     with pytest.raises(TypeError):  # another hand: another moment
