@@ -195,6 +195,7 @@ def prepare(
         "robot": about_robot,
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
+        **({"asks": list(benchmark.asks)} if benchmark.asks else {}),
         "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {
             "kind": work.device.partition(":")[0],
