@@ -10,7 +10,8 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 | plan | `plan` | a path without collision to one of the branches |
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
-| verdict | `metrics`, `scores` | five criteria with margins, one outcome |
+| pick | `pick` | whether the arm gets the object from the table, where the benchmark asks for it |
+| verdict | `metrics`, `scores` | five criteria (or six) with margins, one outcome |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
 `_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
@@ -61,6 +62,7 @@ from r2h_batch.training import torch_op
 from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
+    from r2h_batch.judge.pick import Picked
     from r2h_batch.judge.trace import Trace
     from r2h_batch.training.first_order import Changes
 
@@ -299,6 +301,7 @@ class Evaluator(Prepared):
             clearance_m=certified,
         )
 
+        picked = self._picked(held, T_obj_ee, trials, paths=True)
         nearest = hand_distance(scene, held.body_poses, executed, active)
         body_m, body, _ = over_motion(
             scene, held.body_poses, executed, partial(self._person_distance, trials)
@@ -313,6 +316,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=(body_m, body),
             valid=executed.valid,
+            picked=picked,
         )
         region = presented(scene, held, config.thresholds)
         return motion_scores(
@@ -352,6 +356,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=executed.valid,
+            picked=self._picked(held, T_obj_ee, trials, paths=True),
         )
         region = presented(scene, held, self.config.thresholds)
         return motion_scores(
@@ -368,7 +373,7 @@ class Evaluator(Prepared):
         inputs = tuple(x.contiguous() for x in inputs)
         differentiates = _differentiates(*poses)
         judge = self._judge_pose_and_changes if differentiates else self._judge_pose
-        small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda
+        small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda and not self.benchmark.asks
         if differentiates:
             from r2h_batch.training.gradients import FOLLOWED, differentiable
 
@@ -421,6 +426,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=None,
+            picked=self._picked(held, T_obj_ee, trials, paths=False),
         )
         found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
         if person is not None:
@@ -438,6 +444,7 @@ class Evaluator(Prepared):
         nearest: NearestApproach,
         person: tuple[Tensor, Tensor] | None,
         valid: Tensor | None,
+        picked: "Picked | None",
     ) -> tuple[dict[str, Tensor], NearestApproach]:
         """The fields of `Scores` that need no path, and where the robot is nearest to the
         receiver; arguments as in `Evidence` and `verdict`."""
@@ -451,9 +458,29 @@ class Evaluator(Prepared):
             rows = held.active & (held.grasp.margin_m >= 0)
             slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
         evidence = metrics.Evidence(
-            scene, config, held, goal_reached, moves, clearance_m, reason, nearest, slip_m
+            scene, config, held, goal_reached, moves, clearance_m, reason, nearest, slip_m, picked
         )
-        return verdict(metrics.judge(evidence), held, slip_m, valid), nearest
+        found = verdict(metrics.judge(evidence), held, slip_m, valid)
+        if picked is not None:
+            found["pick"] = torch.stack([picked.reason, picked.pair, picked.body], 1)
+        return found, nearest
+
+    def _picked(
+        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, paths: bool
+    ) -> "Picked | None":
+        """Whether the arm picks the objects where they rest; None where the benchmark does not ask.
+        `paths`: it also gets there from home."""
+        if "pick" not in self.benchmark.asks:
+            return None
+        from r2h_batch.judge.pick import judge_picks
+        from r2h_batch.observe.known import known_moments
+
+        active = torch.nonzero(held.active)[:, 0]  # a hand that is no pose has no moment
+        T_world_obj = torch.eye(4, dtype=torch.float32, device=active.device).repeat(
+            len(T_obj_ee), 1, 1
+        )
+        T_world_obj[active] = known_moments(self.scene).of(trials[active])
+        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, paths=paths)
 
     def _person_distance(
         self,

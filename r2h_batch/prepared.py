@@ -26,6 +26,7 @@ from r2h_batch.judge.ik import build_tables
 from r2h_batch.judge.inputs import (
     KnownInputs,
     Stages,
+    check_asks,
     check_indices,
     check_receiver,
     check_stages,
@@ -81,6 +82,7 @@ class Prepared(ABC):
         self.scene = Scene(benchmark or load_benchmark(), device, config=config)
         warn_of_payload(self.scene)
         self.config = self.scene.config
+        check_asks(self.benchmark, self.config)
         self.threads = threads
         if self.scene.device != "cpu":
             build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)

@@ -17,6 +17,7 @@ from r2h_batch.base.validate import describe_value, instance_of, integer, one_of
 from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
     CRITERIA,
+    EVERY,
     PERSON,
     SIDES,
     SPLITS,
@@ -271,7 +272,7 @@ class Predictions(_Rows):
 
 @dataclass(frozen=True)
 class Scores(_Rows):
-    """Verdicts of B trials. Columns of (B, C) follow `CRITERIA`.
+    """Verdicts of B trials. Columns of (B, C) follow `criteria`.
 
     Attributes:
         trial_id: number of each trial.
@@ -345,16 +346,22 @@ class Scores(_Rows):
     failed_state: Float64[Tensor, "b s"]
     body_m: Float32[Tensor, " b"]
 
+    @property
+    def criteria(self) -> tuple[str, ...]:
+        """Names of the columns: `CRITERIA`, and what the benchmark asks for beside them."""
+        return tuple(entry.name for entry in EVERY[: self.passed.shape[-1]])
+
     def failed(self, criterion: str) -> Bool[Tensor, " b"]:
         """Rows (B,) whose first failure is a criterion.
 
         Args:
-            criterion: a name of `CRITERIA`, such as `plan`.
+            criterion: one of `criteria`, such as `plan`.
 
         Raises:
             ValueError: no criterion has this name.
         """
-        return self.outcome == CRITERIA.index(one_of(*CRITERIA)("criterion", criterion)) + 1
+        names = self.criteria
+        return self.outcome == names.index(one_of(*names)("criterion", criterion)) + 1
 
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...).
@@ -496,6 +503,18 @@ class Scores(_Rows):
             )
             for p in parts
         ]
-        return Scores(
-            **{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Scores)}
+        kind = type(parts[0])
+        return kind(
+            **{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(kind)}
         )
+
+
+@dataclass(frozen=True, repr=False)
+class PickedScores(Scores):
+    """Verdicts of a benchmark that asks for Pick.
+
+    Attributes:
+        pick: `PickReason`, the `CollidingPair` that Pick's margin is about, and the robot part of it (-1: none).
+    """
+
+    pick: Int32[Tensor, "b 3"]

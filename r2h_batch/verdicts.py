@@ -106,13 +106,25 @@ REGISTRY = (
     *_OURS,
     *(_checked(CRITERION[name], name) for name in CRITERION.declared),
 )
-"""The criteria in the order in which the first failure is looked for. Stored columns, outcomes,
+"""The criteria of every benchmark, in the order in which the first failure is looked for. Stored columns, outcomes,
 rates, headings, charts and re-scoring follow it. A new criterion is an entry here and a function in
 `judge.metrics`, or an entry that another package names as `criterion.NAME` (`r2h_batch.plugins`;
 its module is imported here, so it may import this file and the standard library alone)."""
 
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
+
+ASKED = (CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0"),)
+"""Criteria that a benchmark asks for (`Benchmark.asks`) beside `CRITERIA`: others judge by none of them. A benchmark asks for
+the first ones."""
+
+EVERY = (*REGISTRY, *ASKED)
+"""All criteria. Place here = column of (B, C) tensors; those of a benchmark that asks for none end with `CRITERIA`."""
+
+ASKED_NAMES = tuple(entry.name for entry in ASKED)
+
+IN_ORDER = (REGISTRY[0], *ASKED, *REGISTRY[1:])
+"""All criteria in the order in which the first failure is looked for: a grasp is held, then picked."""
 
 PAPER = tuple(entry.name for entry in REGISTRY if not entry.since)
 """Those of the paper: files of the authors' release know no others."""
@@ -122,7 +134,7 @@ MOST_SECONDS = 1e9
 
 
 class Outcome(IntEnum):
-    """A trial's verdict: success, the first criterion that failed (its place in `CRITERIA` + 1), or
+    """A trial's verdict: success, the first criterion that failed (its place in `EVERY` + 1), or
     why it was not judged. Rows store names, so that numbers may change when a criterion is added."""
 
     SUCCESS = 0
@@ -131,12 +143,12 @@ class Outcome(IntEnum):
     REACH = 3
     AFFORDANCE = 4
     SAFE = 5
-    vars().update({name.upper(): 1 + CRITERIA.index(name) for name in CRITERIA[5:]})
-    INVALID_INPUT = len(CRITERIA) + 1
-    INVALID_SIM = len(CRITERIA) + 2
+    vars().update({entry.name.upper(): 6 + k for k, entry in enumerate(EVERY[5:])})
+    INVALID_INPUT = len(EVERY) + 1
+    INVALID_SIM = len(EVERY) + 2
 
 
-if [o.name.lower() for o in Outcome][1:-2] != list(CRITERIA):
+if [o.name.lower() for o in Outcome][1:-2] != [entry.name for entry in EVERY]:
     raise ValueError(f"new criteria stand behind {CRITERIA[4]}; REGISTRY has {', '.join(CRITERIA)}")
 
 
@@ -193,3 +205,21 @@ class CollidingPair(IntEnum):
     OBJECT_HAND = 4
     OBJECT_TABLE = 5
     OBJECT_ROBOT = 6
+
+
+class PickReason(IntEnum):
+    """Why an object cannot be picked: the first of these that holds."""
+
+    OK = 0
+    OUT_OF_REACH = 1
+    GRASP_COLLIDES = 2
+    NO_STRAIGHT_WAY = 3
+    APPROACH_COLLIDES = 4
+    NOTHING_BETWEEN_PADS = 5
+    NOT_HELD = 6
+    CLOSING_COLLIDES = 7
+    LIFT_COLLIDES = 8
+    START_IN_COLLISION = 9
+    BEFORE_COLLIDES = 10
+    NO_PATH_IN_BUDGET = 11
+    NOT_EVALUATED = 12

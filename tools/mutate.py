@@ -32,6 +32,7 @@ class Mutation(NamedTuple):
     tests: tuple[str, ...]
 
 
+T_FROM_TABLE = "tests/protocols/test_from_table.py"
 METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "kernels/judge/verdict.py", "kernels/judge/rows.py"
 T_METRICS, T_ROWS, T_MOTION = (
     "tests/judge/test_metrics.py",
@@ -137,6 +138,13 @@ SOLID = "r2h_batch/scene/mesh_import/winding_solid.py"
 T_NAMED = "tests/view/test_environment.py::test_the_name_is_registered_whichever_of_the_two_is_imported_first"
 
 MUTATIONS = (
+    Mutation(
+        "trained on: names are not counted",
+        "r2h_batch/sweep/jobs.py",
+        "if len(names) > MOST_TRAINED_ON:",
+        "if False:",
+        ("tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on",),
+    ),
     Mutation(
         "seen: a pipe that a method made not wait is a traceback",
         "r2h_batch/observe/messages.py",
@@ -1285,8 +1293,8 @@ MUTATIONS = (
     Mutation(
         'trained on: a method is judged on what it learned',
         'r2h_batch/sweep/jobs.py',
-        'if any(fnmatchcase(model.name, pattern) for pattern in told):',
-        'if model.name in told and len(told) > 99:',
+        'if fnmatchcase(model.name, pattern)\n        ]:',
+        'if model.name == pattern and len(names) > 99\n        ]:',
         ('tests/sweep/test_method_jobs.py::test_a_method_is_not_judged_on_what_it_was_trained_on',),
     ),
     Mutation(
@@ -2521,6 +2529,48 @@ MUTATIONS = (
         "    return wp.abs(d[k])",
         "    return wp.abs(d[2])",
         (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
+    ),
+    Mutation(
+        "draft r2h-v3: pick counts behind all others",
+        "r2h_batch/verdicts.py",
+        "IN_ORDER = (REGISTRY[0], *ASKED, *REGISTRY[1:])",
+        "IN_ORDER = (*REGISTRY, *ASKED)",
+        (f"{T_FROM_TABLE}::test_the_first_failure_is_stability_then_pick_then_the_others",),
+    ),
+    Mutation(
+        "draft r2h-v3: a benchmark that asks for pick has the digest of one that does not",
+        "r2h_batch/protocols/benchmark.py",
+        "        if self.asks:\n",
+        "        if not self.asks and self.seed:\n",
+        (f"{T_FROM_TABLE}::test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column",),
+    ),
+    Mutation(
+        "draft r2h-v3: moments of other hands are taken for this one's",
+        "r2h_batch/observe/known.py",
+        "trials.hand_index, trials.T_world_hand]\n        decide +=",
+        "trials.hand_index]\n        decide +=",
+        (f"{T_FROM_TABLE}::test_moments_are_drawn_once_and_are_those_of_any_draw",),
+    ),
+    Mutation(
+        "draft r2h-v3: grasps are pushed into the table, not backed out of it",
+        "r2h_batch/methods/from_table.py",
+        "T[:, :3, 3] -= back[todo, None]",
+        "T[:, :3, 3] += back[todo, None]",
+        (f"{T_FROM_TABLE}::test_grasps_of_the_oracle_are_picked_and_some_are_backed_out_of_the_table",),
+    ),
+    Mutation(
+        "draft r2h-v3: a row names another pair than the one that pick is about",
+        "r2h_batch/runs/rows.py",
+        "np.where(met == CollidingPair.NONE, -1, met)",
+        "np.where(met == CollidingPair.NONE, -1, met - 1)",
+        (f"{T_FROM_TABLE}::test_tables_and_words_show_pick",),
+    ),
+    Mutation(
+        "draft r2h-v3: rows of a run without pick have its columns",
+        "r2h_batch/runs/columns.py",
+        "if not c.asked or c.asked in asks)",
+        "if True)",
+        ("tests/runs/test_rows.py::test_rows_of_any_number_of_trials_have_the_schemas",),
     ),
 )  # fmt: skip
 

@@ -33,6 +33,11 @@ PROTOCOLS = (
         "as r2h-v1, with six instances of each of 16 object families, and 2,000 people from 6 to 90 years",
     ),
     Protocol(
+        "r2h-v3-draft",
+        "as r2h-v2, from the table; a draft",
+        "a draft: as r2h-v2, and the arm has to pick the object from the table first",
+    ),
+    Protocol(
         RELEASE,
         "palms, objects and table of the authors' release",
         "palms, objects, table and home of the authors' release",

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, MarginKind, Outcome, PlanReason
+from r2h_batch.verdicts import EVERY, UNITS, MarginKind, Outcome, PlanReason
 
 Array = NDArray[Any]
 
@@ -51,9 +51,9 @@ def scores_table(
 ) -> list[tuple[str, str, str, str, str]]:
     """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion; margins in mm, others say
     their unit."""
-    p, e, m = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin))
+    p, e, m = (np.reshape(x, (-1, x.shape[-1])) for x in (passed, evaluated, margin))
     rows = []
-    for k, entry in enumerate(REGISTRY):
+    for k, entry in enumerate(EVERY[: p.shape[1]]):
         name, (shown, scale, *_) = entry.name, UNITS[entry.unit]
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]), k]
@@ -86,9 +86,12 @@ def scalars_of(
     if not n:
         return {}
     found = {"success": float((codes == Outcome.SUCCESS).mean())}
-    found |= {f"outcome/{o.name.lower()}": float((codes == o).mean()) for o in Outcome}
-    p, e, m, kinds = (np.reshape(x, (-1, len(CRITERIA))) for x in (passed, evaluated, margin, kind))
-    for k, (name, entry) in enumerate(zip(CRITERIA, REGISTRY, strict=True)):
+    asked = {entry.name for entry in EVERY[passed.shape[-1] :]}  # of other benchmarks
+    names = {o: o.name.lower() for o in Outcome if o.name.lower() not in asked}
+    found |= {f"outcome/{name}": float((codes == o).mean()) for o, name in names.items()}
+    p, e, m, kinds = (np.reshape(x, (-1, x.shape[-1])) for x in (passed, evaluated, margin, kind))
+    for k, entry in enumerate(EVERY[: p.shape[1]]):
+        name = entry.name
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
         if column.any():
@@ -123,7 +126,8 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "plan_reason": [PlanReason(int(r)).name.lower() for r in names("plan_reason")],
         "borderline": names("borderline"),
     }
-    for k, (name, entry) in enumerate(zip(CRITERIA, REGISTRY, strict=True)):
+    for k, entry in enumerate(EVERY[: passed.shape[1]]):
+        name = entry.name
         judged = zip(passed[:, k], evaluated[:, k])
         columns[f"passed_{name}"] = [bool(p) if e else None for p, e in judged]
         columns[entry.margin_column] = margin[:, k]

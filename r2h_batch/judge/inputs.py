@@ -208,6 +208,16 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
         )
 
 
+def check_asks(benchmark: Benchmark, config: EvalConfig) -> None:
+    """Raises ValueError for errors of execution or of the object's pose where Pick is asked for: it takes grasps as they are."""
+    for section in ("execution_error", "object_errors"):
+        if benchmark.asks and getattr(config, section).any:
+            raise ValueError(
+                f"{section} changes poses, and {benchmark.name} asks for Pick, which takes grasps as they are; leave the errors"
+                " out, or take r2h-v2"
+            )
+
+
 def check_stages(stages: object) -> None:
     """Raises ValueError for a word that names no stages."""
     one_of(*get_args(Stages))("stages", stages)

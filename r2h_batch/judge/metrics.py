@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib import import_module
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32
@@ -24,7 +25,18 @@ from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
-from r2h_batch.verdicts import CRITERION, REGISTRY, CriterionEntry, MarginKind, PlanReason
+from r2h_batch.verdicts import (
+    CRITERIA,
+    CRITERION,
+    EVERY,
+    CriterionEntry,
+    MarginKind,
+    PickReason,
+    PlanReason,
+)
+
+if TYPE_CHECKING:
+    from r2h_batch.judge.pick import Picked
 
 
 @dataclass(frozen=True)
@@ -77,11 +89,13 @@ class Evidence:
     reason: Int32[Tensor, " b"]  # PlanReason
     nearest: NearestApproach  # of the robot to the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
+    picked: "Picked | None" = None  # None: the benchmark does not ask for Pick
 
 
 def judge(evidence: Evidence) -> list[Criterion]:
-    """All criteria, in the order of the registry; evaluated where they concern the object."""
-    return [_criterion(entry, evidence) for entry in REGISTRY]
+    """The benchmark's criteria, in the order of their columns; evaluated where they concern the object."""
+    entries = EVERY[: len(CRITERIA) + len(evidence.scene.benchmark.asks)]
+    return [_criterion(entry, evidence) for entry in entries]
 
 
 def margin_of(name: str, evidence: Evidence) -> Float32[Tensor, " b"]:
@@ -234,3 +248,28 @@ def safe(e: Evidence) -> Criterion:
         cap=CLEARANCE_CAP_M,
         kind=far,
     )
+
+
+def pick(e: Evidence) -> Criterion:
+    """Pick(g) <=> the arm takes the object from where it rests with this grasp: `judge.pick`. Margin: of the first stage that
+    fails, else the smallest of all stages, 1 cm at most.
+    """
+    assert e.picked is not None  # the evaluator asks for it where the benchmark does
+    return Criterion(
+        e.picked.margin_m,
+        e.held.active,
+        cap=CUT_CAP_M,
+        passed=e.picked.picked,
+        kind=e.picked.reason,
+        kind_of=KIND_OF_PICK,
+    )
+
+
+_NO_PICK = {
+    PickReason.OUT_OF_REACH: MarginKind.DISTANCE,  # by how far
+    PickReason.NO_STRAIGHT_WAY: MarginKind.DISTANCE,  # how much of the ways no branch follows
+    PickReason.NOTHING_BETWEEN_PADS: MarginKind.CAP,
+    PickReason.NOT_HELD: MarginKind.DISTANCE,  # too thick or too thin by
+}
+KIND_OF_PICK = tuple(int(_NO_PICK.get(r, MarginKind.NONE)) for r in PickReason)
+"""MarginKind of Pick's margin, by `PickReason`; NONE: it is a clearance."""

@@ -1,8 +1,8 @@
 """Pick: can the arm take the object from where it rests? From home to 10 cm before the grasp, straight in with the open
 gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; no part of the verdict (docs/pick.md)."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from enum import IntEnum
 from functools import cached_property, lru_cache
 from typing import NamedTuple
 
@@ -35,30 +35,13 @@ from r2h_batch.scene.person import with_person
 from r2h_batch.scene.resting import among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
+from r2h_batch.verdicts import PickReason
 
 OBJECT_PARTS, CLOSING_PARTS = 16, 4
 CLOSING_CAP_M = 0.02
 """Clearances of closing fingers are measured up to this one: no point goes as far above 1 cm within a first part."""
 ROWS = 512
 """Rows that are judged at a time."""
-
-
-class PickReason(IntEnum):
-    """Why an object cannot be picked: the first of these that holds."""
-
-    OK = 0
-    OUT_OF_REACH = 1
-    GRASP_COLLIDES = 2
-    NO_STRAIGHT_WAY = 3
-    APPROACH_COLLIDES = 4
-    NOTHING_BETWEEN_PADS = 5
-    NOT_HELD = 6
-    CLOSING_COLLIDES = 7
-    LIFT_COLLIDES = 8
-    START_IN_COLLISION = 9
-    BEFORE_COLLIDES = 10
-    NO_PATH_IN_BUDGET = 11
-    NOT_EVALUATED = 12
 
 
 @dataclass(frozen=True)
@@ -118,13 +101,30 @@ def picked(
     )
     check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
     check_indices(scene, trials)
-    with one_torch_thread(torch.device(scene.device)):
-        parts = []
-        with progress("picked", len(trials), "trials") as told:
-            for i in range(0, max(len(trials), 1), ROWS):
-                grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
-                parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged())
-                told(len(grasp))
+    one_thread = one_torch_thread(torch.device(scene.device))
+    with one_thread, progress("picked", len(trials), "trials") as told:
+        return judge_picks(scene, T_obj_ee, T_world_obj, trials, told=told)
+
+
+def judge_picks(
+    scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, *,
+    paths: bool = True, told: Callable[[int], None] = lambda rows: None,
+) -> Picked:  # fmt: skip
+    """`picked` of checked inputs.
+
+    Args:
+        scene: as of `picked`.
+        T_obj_ee: (B, 4, 4) grasps, m.
+        T_world_obj: (B, 4, 4) where the objects rest, m.
+        trials: B trials.
+        paths: also look for the path from home; else Pick is the stages before it.
+        told: is called with the number of rows of each batch that is done.
+    """
+    parts = []
+    for i in range(0, max(len(trials), 1), ROWS):
+        grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
+        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS], paths).judged())
+        told(len(grasp))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
 
@@ -217,9 +217,12 @@ class _Batch:
     T_world_obj: Tensor
     T_world_ee: Tensor
     T_world_hand: Tensor
+    paths: bool  # from home
 
     @staticmethod
-    def of(scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials) -> "_Batch":
+    def of(
+        scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, paths: bool
+    ) -> "_Batch":
         """Rows whose poses are poses are active."""
         usable = over_trials(usable_rows, len(trials), scene.device, chunk=4096)(
             objects=len(scene.objects),
@@ -234,12 +237,13 @@ class _Batch:
         T_world_ee = se3.matmul(usable["T_world_ee"], T_obj_ee)
         return _Batch(
             scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee,
-            usable["T_world_ee"], T_world_ee, usable["T_world_hand"],
+            usable["T_world_ee"], T_world_ee, usable["T_world_hand"], paths,
         )  # fmt: skip
 
     def some(self, rows: Tensor) -> "_Batch":
         """These rows alone."""
-        return _Batch(self.scene, *(getattr(self, f.name)[rows] for f in fields(_Batch)[1:]))
+        every = {f.name: getattr(self, f.name)[rows] for f in fields(_Batch)[1:-1]}
+        return replace(self, **every)
 
     def judged(self) -> Picked:
         """All stages; a row goes on to the next one if no earlier stage fails."""
@@ -414,6 +418,10 @@ class _Batch:
         up[row, slot] = lift.clearance_m > 0
         own = torch.nonzero(up.any(1)).flatten()
         if not len(own):
+            return
+        if not self.paths:
+            tried.slot[rows[own]] = up[own].to(torch.int8).argmax(1).to(torch.int32)
+            tried.way.clearance_m[rows[own]] = torch.inf
             return
         at, before = rows[own], ways.way_in[own, :, 0].contiguous()
         plan, way = self._way(at, before, up[own])

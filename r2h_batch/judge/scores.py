@@ -17,13 +17,16 @@ from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
 from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as kernels
-from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
-from r2h_batch.verdicts import REGISTRY, SPLITS, UNITS
+from r2h_batch.types import CollidingPair, Outcome, PickedScores, PlanReason, Scores
+from r2h_batch.verdicts import EVERY, IN_ORDER, SPLITS, UNITS
 
 if TYPE_CHECKING:  # paths: a pose's first verdict is there 0.2 s earlier without them
     from r2h_batch.judge.motion.execute import Executed
     from r2h_batch.judge.motion.time_law import Motion
     from r2h_batch.judge.plan import Plan
+
+IN_ORDER_COLUMNS = tuple(EVERY.index(entry) for entry in IN_ORDER)
+"""Columns of criteria in the order in which the first failure is looked for."""
 
 
 def verdict(
@@ -33,9 +36,9 @@ def verdict(
     valid: Bool[Tensor, " b"] | None = None,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
-    `CRITERIA`.
+    `EVERY`.
 
-    The outcome is the first criterion that was evaluated and failed. `valid`: False where the
+    The outcome is the first criterion (`IN_ORDER`) that was evaluated and failed. `valid`: False where the
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
     is INVALID_INPUT.
     """
@@ -62,7 +65,8 @@ def verdict(
         "kind": constants(active.device, torch.int8, 0),
         "code": constants(active.device, torch.int32, 0),
     }
-    for column, (c, entry) in enumerate(zip(criteria, REGISTRY, strict=True)):
+    for column in (k for k in IN_ORDER_COLUMNS if k < len(criteria)):
+        c, entry = criteria[column], EVERY[column]
         kind = {}
         if c.kind is not None:
             kind["code" if c.kind_of else "kind"] = c.kind.contiguous()
@@ -117,7 +121,7 @@ def motion_scores(
     else:
         time_s = executed_time_at(executed, nearest.segment, nearest.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
-    return Scores(
+    return _kind(shared)(
         trial_id=trial_id,
         **shared,
         presented=region.presented,
@@ -167,7 +171,12 @@ def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict
 def pose_scores(trial_id: Int64[Tensor, " b"], found: dict[str, Tensor]) -> Scores:
     """`Scores` of poses that were judged without a path; `found` from `verdict` and `pose_fields`."""
     q = found["q_goal"]
-    return Scores(trial_id=trial_id, **found, **_no_path(*q.shape, q.device))
+    return _kind(found)(trial_id=trial_id, **found, **_no_path(*q.shape, q.device))
+
+
+def _kind(found: dict[str, Tensor]) -> type[Scores]:
+    """The class of scores that have these fields."""
+    return PickedScores if "pick" in found else Scores
 
 
 @lru_cache(maxsize=16)

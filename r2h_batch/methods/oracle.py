@@ -3,7 +3,8 @@ baselines.md).
 
 In rounds: every trial that is still unsolved proposes one grasp and one pose, the evaluator scores
 them all at once (the motion as planned, without the simulator), and what succeeds is kept. Where
-nothing succeeds, the proposal that failed last in the paper's order stays.
+nothing succeeds, the proposal that failed last in the paper's order stays. Where the object rests on the table
+first, proposals are grasps that the arm can pick (`methods.from_table`).
 """
 
 from functools import lru_cache
@@ -19,9 +20,11 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
+from r2h_batch.methods.from_table import PickedGrasps, picked_grasps
 from r2h_batch.methods.placing import check_choice
 from r2h_batch.scene.scene import Scene
-from r2h_batch.types import CRITERIA, Outcome, Predictions, Scores, Trials
+from r2h_batch.types import Outcome, Predictions, Scores, Trials
+from r2h_batch.verdicts import IN_ORDER
 
 Aim = Literal["success", "reception"]
 """Kinds of solutions. reception: the person can take the object too."""
@@ -105,19 +108,23 @@ def predict(
 
 
 def how_far(scores: Scores) -> torch.Tensor:
-    """How far a proposal got: the number of the criterion that failed first (success: 6), then that
+    """How far a proposal got: the place of the criterion that failed first (success: one beyond the last), then that
     one's margin.
 
     Args:
         scores: of B proposals.
     """
     outcome = scores.outcome.long()
-    failed = (outcome - 1).clamp(0, len(CRITERIA) - 1)
+    criteria = scores.criteria
+    order = [e.name for e in IN_ORDER if e.name in criteria]
+    places = [1 + order.index(name) for name in criteria]
+    place = torch.tensor(places, dtype=torch.int64, device=outcome.device)
+    failed = (outcome - 1).clamp(0, len(criteria) - 1)
     margin = scores.margin[
         torch.arange(len(outcome), dtype=torch.int64, device=outcome.device), failed
     ].double()
-    step = torch.where(outcome == int(Outcome.SUCCESS), 1 + len(CRITERIA), outcome)
-    judged = outcome <= len(CRITERIA)
+    step = torch.where(outcome == int(Outcome.SUCCESS), 1 + len(criteria), place[failed])
+    judged = outcome < int(Outcome.INVALID_INPUT)
     return torch.where(
         judged, step + 0.5 * torch.nan_to_num(margin, nan=-1.0, neginf=-1.0).clamp(-1.0, 0.0), -1.0
     )
@@ -142,6 +149,15 @@ class Fan:
         self._outwards = out / np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2)[:, None]
         key = rng.key_of(f"oracle {seed}")
         self._start = rng.uniforms(key, trials.trial_id.cpu().numpy(), len(_STEPS), purpose=_FAN)
+        self._picked: PickedGrasps | None = None
+        if "pick" in evaluator.benchmark.asks:
+            self._picked = picked_grasps(evaluator.scene, trials, self._candidates)
+
+    def _candidates(self, turn: int) -> NDArray[np.float64]:
+        """(n, 4, 4) a candidate of each trial's object, in the order of its sequence."""
+        u = self._start[0] + turn * _STEPS[0]
+        row = self._first[self._object] + rng.choice(u - np.floor(u), self._count[self._object])
+        return self._grasps[row].astype(np.float64)
 
     def proposals(self, rows: NDArray[np.int64], turn: int) -> tuple[torch.Tensor, torch.Tensor]:
         """T_obj_ee, T_world_ee (n, 4, 4) that trials try in a round.
@@ -155,6 +171,8 @@ class Fan:
         objects, normal = self._object[rows], self._normal[rows]
         row = self._first[objects] + rng.choice(which, self._count[objects])
         T_obj_ee = self._grasps[row].astype(np.float64)
+        if self._picked is not None:
+            T_obj_ee = self._picked.chosen(rows, which, T_obj_ee)
         approach = mix[:, None] * self._outwards[rows] - (1.0 - mix)[:, None] * normal
         frame = _basis(se3.rotate(_basis(approach), _TILTS[rng.choice(tilt, TILTS)]))
         x, z = se3.rotate(frame, _ROLLS[rng.choice(roll, ROLLS)]), frame[:, :, 2]

@@ -37,7 +37,7 @@ from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.types import Trials
-from r2h_batch.verdicts import SPLITS
+from r2h_batch.verdicts import ASKED_NAMES, SPLITS
 
 if TYPE_CHECKING:
     from r2h_batch.evaluate import Evaluator
@@ -77,6 +77,7 @@ class Benchmark:
         listed: trials of a file; None: the rule draws them.
         labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
         seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
+        asks: criteria beside those of all benchmarks: none, or ("pick",), with which the object rests on the table first.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -92,6 +93,7 @@ class Benchmark:
     listed: Trials | None = None
     labels: Labels | None = None
     seed: str = ""
+    asks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         instance_of(Rule, "a Rule of r2h_batch.protocols.draw.rule")("rule", self.rule)
@@ -113,6 +115,8 @@ class Benchmark:
             raise ValueError(
                 "seed draws other trials, and these are listed; leave one of the two out"
             )
+        if self.asks != ASKED_NAMES[: len(self.asks)]:
+            raise ValueError(f"asks is {self.asks}; allowed are () and {ASKED_NAMES}")
         if self.people is not None and (self.listed is not None or not self.rule.bodies):
             raise ValueError(
                 f"people is {self.people.name}, trials of {self.protocol} have no body; {how}"
@@ -140,6 +144,8 @@ class Benchmark:
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())
+        if self.asks:
+            digest.update(f"asks {' '.join(self.asks)}\n".encode())
         if self.seed:
             digest.update(f"seed {self.seed}\n".encode())
         if self.people is not None:

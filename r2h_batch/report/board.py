@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.report.compare.text import p_words
-from r2h_batch.report.statistics.aggregate import FAILURES, Row, summarise
+from r2h_batch.report.statistics.aggregate import ASKED_FAILURES, FAILURES, Row, summarise
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.paired import BOUNDS, compare, holm, mcnemar, pair_up
 from r2h_batch.report.statistics.tally import tally
@@ -208,8 +208,8 @@ def _standing(
         {row.split: _ends(row) for row in rows},
         {
             rate: None if found is None else found.percent
-            for rate in FAILURES
-            for found in [last.rates[rate]]
+            for rate, found in last.rates.items()
+            if rate in FAILURES | ASKED_FAILURES
         },
         last.times["t_exec_s"].value,
         {name: last.times[name].value for name in CLAIMED},
@@ -286,13 +286,17 @@ def page(sections: Sequence[Section], *, least: int) -> str:
     """
     import jinja2
 
+    every = FAILURES | ASKED_FAILURES
+    known = {rate for s in sections for own in s.standings for rate in own.failures}
+    failures = {rate: entry.heading for rate, entry in every.items() if rate in {*FAILURES, *known}}
     loader = jinja2.PackageLoader("r2h_batch.report", ".")
     environment = jinja2.Environment(
         loader=loader, autoescape=True, undefined=jinja2.StrictUndefined
     )
     return environment.get_template("board.html").render(
         sections=[_section(section, least) for section in sections],
-        failures=[entry.heading for entry in FAILURES.values()],
+        failures=failures,
+        NA=NA,
         splits=SPLITS,
         claimed=list(CLAIMED.values()),
         signs=SIGNS,
@@ -376,7 +380,7 @@ def _line(
         "sr": [_sr(s.sr.get(name)) for name in (*SPLITS, "Avg")],
         "n": " + ".join(str(s.trials.get(split, 0)) for split in SPLITS),
         "against": [_cell(s.against.get(name)) for name in section.baselines],
-        "failures": [NA if v is None else f"{v:.1f}" for v in s.failures.values()],
+        "failures": {k: NA if v is None else f"{v:.1f}" for k, v in s.failures.items()},
         "times": [NA if v is None else f"{v:.2f}" for v in (s.t_exec_s, *s.claimed.values())],
         "judged": s.judged and _judged(s.judged),
     }

@@ -11,7 +11,7 @@ import numpy as np
 
 from r2h_batch.report.statistics.breakdown import Histogram
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import REGISTRY
+from r2h_batch.verdicts import EVERY
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 COLORS = {
     "success": "#009e73",
-    **{entry.name: entry.color for entry in REGISTRY},
+    **{entry.name: entry.color for entry in EVERY},
     "invalid_input": "#8c8c8c",
     "invalid_sim": "#5a5a5a",
     "missing": "#c8c8c8",

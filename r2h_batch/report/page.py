@@ -14,14 +14,13 @@ import pyarrow as pa
 from r2h_batch.report import figures
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import FAILURES, RATES, Rate, Row, wilson_interval
+from r2h_batch.report.statistics.aggregate import TIMES, Rate, Row, wilson_interval
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,
-    HEADINGS,
     Table,
     best_cells,
     cell,
@@ -33,7 +32,7 @@ from r2h_batch.report.transfers import HEADINGS as FUNNEL
 from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
+from r2h_batch.verdicts import EVERY, UNITS
 
 TRIALS_SHOWN = 20_000
 """Trials of all methods together that a page holds. Of a larger run it holds the first trials of
@@ -86,7 +85,7 @@ def page(
             unit=UNITS[entry.unit].shown,
             zero=True,
         )
-        for entry in REGISTRY
+        for entry in run.criteria
     ]
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
@@ -118,9 +117,9 @@ def page(
         funnels=[[short[f.method], f.release, *f.cells] for f in table.funnels],
         funnel=["Method", "release", *FUNNEL],
         funnel_note=TRANSFERS,
-        headings=list(HEADINGS.values()),
+        headings=list(table.headings.values()),
         shares=list(table.shares.values()),
-        failing=[entry.heading for entry in FAILURES.values()],
+        failing=[entry.heading for entry in table.failures.values()],
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
         facts=_all_facts(runs),
         trials=_trials(run, gallery or {}),
@@ -156,7 +155,7 @@ def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, An
             "moved": " ".join(t.sentence for t in table.turns if t.method == method and t.marked),
             "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
             "rank": _rank(compared[-1], method) if compared else None,
-            "failures": [_rate(rows[-1], c) for c in FAILURES],
+            "failures": [_rate(rows[-1], c) for c in table.failures],
             "t_exec": _cell(cell(rows[-1], "t_exec_s"), rows[-1].times["t_exec_s"].value or None),
         }
         lines.append(line)
@@ -252,7 +251,7 @@ def _first_pictures(
     """A picture of each of the most frequent causes of all methods together, then a success; of the method that has most."""
     rows = [row for row in table.rows if row.split != "Avg"]
     total = {o: sum(row.counts[o] for row in rows) for o in OUTCOME_NAMES}
-    causes = sorted((o for o in CRITERIA if total[o]), key=lambda o: -total[o])
+    causes = sorted((e.name for e in EVERY if total[e.name]), key=lambda o: -total[o])
     found: list[dict[str, str]] = []
     for outcome in (*causes[: FIRST_PICTURES - 1], "success", *causes[FIRST_PICTURES - 1 :]):
         of = {m: sum(r.counts[outcome] for r in rows if r.method == m) for m in gallery}
@@ -269,8 +268,8 @@ def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dic
     lines = []
     for t in counted:
         found = breakdown.co_failures(t)
-        for i, a in enumerate(CRITERIA):
-            for j, b in list(enumerate(CRITERIA))[i + 1 :]:
+        for i, a in enumerate(t.judged):
+            for j, b in list(enumerate(t.judged))[i + 1 :]:
                 if n := int(found.failed[i, j]):
                     both = int(found.evaluated[i, j])
                     lines.append({"method": short[t.method], "a": a, "b": b, "n": n, "of": both})
@@ -284,9 +283,9 @@ def _table(table: Table) -> list[dict[str, Any]]:
     for row in table.rows:
         cells = [
             _rate(row, c, (row.split, row.method, c) in best)
-            if c in RATES
+            if c not in TIMES
             else _cell(cell(row, c), row.times[c].value)
-            for c in HEADINGS
+            for c in table.headings
         ]
         new = row.sr_new_categories if table.families else row.sr_new_objects
         test = table.turn_of(row)
@@ -307,9 +306,10 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
     """The trials as columns of one JSON block, which the page's script filters, with the page of a
     trial and the command that shows one; the notes name the methods of which it holds a part."""
     each = max(1, TRIALS_SHOWN // len(run.methods))
-    data: dict[str, Any] = {"columns": list(breakdown.SHOWN)}
+    shown = breakdown.shown(run)
+    data: dict[str, Any] = {"columns": list(shown)}
     data["margins"] = {
-        e.margin_column: [e.name, UNITS[e.unit].shown, UNITS[e.unit].scale] for e in REGISTRY
+        e.margin_column: [e.name, UNITS[e.unit].shown, UNITS[e.unit].scale] for e in run.criteria
     }
     data |= {name: {} for name in ("methods", "view", "pages")}
     notes = []
@@ -317,7 +317,7 @@ def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dic
         data["view"][method] = run.view_command(method)
         data["pages"][method] = {p["trial"]: p["href"] for p in gallery.get(method, ())}
         table, total = breakdown.examples(run, method, each)
-        data["methods"][method] = [_numbers(table[c]) for c in breakdown.SHOWN]
+        data["methods"][method] = [_numbers(table[c]) for c in shown]
         if len(table) < total:
             notes.append(f"{method}: {len(table)} of {total} trials, the first of each outcome.")
     # "<" is escaped because a "</script>" in a method's name would end the block

@@ -13,9 +13,9 @@ from r2h_batch.report.held import stable_rates
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import (
+    ASKED_FAILURES,
     FAILURES,
     PARTIAL,
-    RATES,
     TIMES,
     Rate,
     Row,
@@ -59,7 +59,7 @@ from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.report.viewed import view_rates
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS, UNITS
+from r2h_batch.verdicts import IN_ORDER, SPLITS, UNITS, CriterionEntry
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -81,7 +81,7 @@ _SKIPPED = " and ".join(
 
 FOOTNOTES = (
     "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
-    f" {', '.join(name.capitalize() for name in CRITERIA)}. With invalid and missing they add up to 100.",
+    " {0}. With invalid and missing they add up to 100.",
     "T_plan: mean over the trials in which planning ran of the batch's wall time divided by its trials (no latency),"
     " without the method's own time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan +"
     " T_exec; the counts are in the last table.",
@@ -151,8 +151,10 @@ class Table:
         new = "new categories" if self.families else "new objects"
         families = [CATEGORY_NOTE] if self.families else []
         families += [FEW_NOTE.format(self.few, new)]
+        order = ", ".join(e.name.capitalize() for e in IN_ORDER if e.rate in self.failures)
         return (
-            *FOOTNOTES,
+            FOOTNOTES[0].format(order),
+            *FOOTNOTES[1:],
             *map(self._partial, PARTIAL),
             *families,
             *(scans if own else []),
@@ -160,6 +162,19 @@ class Table:
             *self.trained,
             *marks,
         )
+
+    @property
+    def failures(self) -> dict[str, CriterionEntry]:
+        """Rate of first failures -> its criterion, in the order of the columns: also of what the benchmark asks for."""
+        asked = {
+            c: e for c, e in ASKED_FAILURES.items() if any(c in row.rates for row in self.rows)
+        }
+        return FAILURES | asked
+
+    @property
+    def headings(self) -> dict[str, str]:
+        """Columns of Table I in their order."""
+        return HEADINGS | {rate: entry.heading for rate, entry in self.failures.items()}
 
     @property
     def shares(self) -> dict[str, Share]:
@@ -398,8 +413,8 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
 def cell(row: Row, column: str) -> str:
     """One cell of Table I: rates with one decimal, seconds with two, or two digits below 0.1 s:
     amortised planning takes less than a millisecond."""
-    if column in RATES:
-        rate = row.rates[column]
+    if column not in TIMES:
+        rate = row.rates.get(column)
         return NA if rate is None else f"{rate.percent:.1f}"
     if (value := row.times[column].value) is None:
         return NA
@@ -436,7 +451,7 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
         rows = [r for r in table.rows if r.split == split]
         same = len({r.n for r in rows}) == 1
         rows = [r for r in rows if r.method not in table.bounds]
-        for column in (c for c in HEADINGS if c in RATES):
+        for column in (c for c in table.headings if c not in TIMES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
             if len(set(values.values())) > 1 and same:
@@ -454,9 +469,8 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
 def _lost_before(row: Row, column: str) -> float:
     """Percent of the trials that a method loses before the criterion of a failure: its earlier failures, and what was not
     judged; as printed, to a tenth."""
-    order = {c: CRITERIA.index(entry.name) for c, entry in FAILURES.items()}
-    later = [c for c in FAILURES if order[c] >= order[column]]
-    rates = (row.rates[c] for c in ("sr", *later))
+    order = [entry.rate for entry in IN_ORDER]
+    rates = (row.rates.get(c) for c in ("sr", *order[order.index(column) :]))
     return round(100.0 - sum(0.0 if r is None else r.percent for r in rates), 1)
 
 
@@ -506,22 +520,23 @@ def _counts(row: Row) -> list[str]:
 
 
 def _md(table: Table) -> str:
-    rates = [c for c in HEADINGS if c in RATES]
+    columns = table.headings
+    rates = [c for c in columns if c not in TIMES]
     short = short_names([row.method for row in table.rows])
     more = ["SR scans"] if table.scans else []
     sections: list[tuple[str, Sequence[str], Callable[[Row], list[str]]]] = [
         (
             "Rates in percent, times in seconds.",
-            [*HEADINGS.values(), *more],
+            [*columns.values(), *more],
             lambda row: [
-                *(cell(row, c) for c in HEADINGS),
+                *(cell(row, c) for c in columns),
                 *(_sr_cells(table, row) if more else ()),
             ],
         ),
         (
             "95 % intervals of the rates (Wilson; Avg: MOVER).",
-            [HEADINGS[c] for c in rates],
-            lambda row: [interval(row.rates[c]) for c in rates],
+            [columns[c] for c in rates],
+            lambda row: [interval(row.rates.get(c)) for c in rates],
         ),
         (
             "95 % intervals of SR for new things.",
@@ -575,7 +590,7 @@ def record(row: Row) -> dict[str, Any]:
 
     fields: dict[str, Any] = {"split": row.split, "method": row.method}
     fields |= {"n": row.n, "n_objects": row.n_objects, "n_categories": row.n_categories}
-    for name in RATES:
+    for name in row.rates:
         fields |= with_ends(name, row.rates[name])
         if name in PARTIAL:
             own = row.rates[name]
@@ -591,7 +606,8 @@ def record(row: Row) -> dict[str, Any]:
             fields |= with_ends(name, row.shares.get(name))
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
-    return fields | {f"n_{name}": count for name, count in row.counts.items()}
+    others = {entry.name for rate, entry in ASKED_FAILURES.items() if rate not in row.rates}
+    return fields | {f"n_{name}": n for name, n in row.counts.items() if name not in others}
 
 
 def _latex(table: Table, columns: int, intervals: bool) -> str:
@@ -627,14 +643,14 @@ def _ends(rate: Rate | None) -> str:
 
 
 def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
-    best = best_cells(table)
+    best, headings = best_cells(table), table.headings
     groups: dict[str, list[str]] = {}
     for row in table.rows:
         n = {r.n for r in table.rows if r.split == row.split}
         size = f"$N={row.n}$" if len(n) == 1 else "$N$ in brackets"
-        heading = rf"\multicolumn{{{1 + len(HEADINGS) + len(table.shares)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
+        heading = rf"\multicolumn{{{1 + len(headings) + len(table.shares)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
         lines = groups.setdefault(row.split, [heading])
-        values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in HEADINGS]
+        values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in headings]
         name = tex(short[row.method] + table.mark(row)) + (f" ({row.n})" if len(n) > 1 else "")
         values += [
             tex_cell(f"{s.percent:.1f}" if (s := row.shares.get(k)) else NA) for k in table.shares
@@ -642,15 +658,17 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
         lines.append(" & ".join([name, *values]) + r" \\")
         if intervals:
             ends = (
-                *(_ends(row.rates.get(c)) for c in HEADINGS),
+                *(_ends(row.rates.get(c)) for c in headings),
                 *(_ends(row.shares.get(k)) for k in table.shares),
             )
             lines.append(" & ".join(["", *ends]) + r" \\[2pt]")
     decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
-    sizes = [(3, 1) if c in RATES else (2, decimals if c == "t_plan_s" else 2) for c in HEADINGS]
+    sizes = [
+        (3, 1) if c not in TIMES else (2, decimals if c == "t_plan_s" else 2) for c in headings
+    ]
     sizes += [(3, 1)] * len(table.shares)
     spec = ["l", *(tex_number(*size) for size in sizes)]
-    times, failures = (sum(c in of for c in HEADINGS) for of in (TIMES, FAILURES))
+    times, failures = (sum(c in of for c in headings) for of in (TIMES, table.failures))
     first_failure = 3 + times  # the method and SR stand before the times
     first_share, shares = first_failure + failures, len(table.shares)
     over = rf" & \multicolumn{{{shares}}}{{c}}{{Share (\%)}}" if shares else ""
@@ -661,7 +679,7 @@ def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
         rf"\cmidrule(lr){{3-{first_failure - 1}}}"
         rf"\cmidrule(l{'r' if shares else ''}){{{first_failure}-{first_share - 1}}}{under}",
     ]
-    names = {c: h.partition("_")[2] for c, h in HEADINGS.items()} | {"sr": r"(\%)"}
+    names = {c: h.partition("_")[2] for c, h in headings.items()} | {"sr": r"(\%)"}
     head = ["Method", *(f"{{{n}}}" for n in names.values())]
     head += [f"{{{tex(share.heading)}}}" for share in table.shares.values()]
     return tex_table(spec, head, groups.values(), top)
@@ -717,12 +735,13 @@ def object_lines(run: Run, fmt: str = "md") -> str:
 def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> str:
     names = short_names([t.method for t in counted])
     short = {method: plain(name) for method, name in names.items()}
-    shown = [c for c in HEADINGS if c in RATES]
+    headings = Table(tuple(row for _, row in lines), {}).headings
+    shown = [c for c in headings if c not in TIMES]
     rows = []
     for name, row in lines:
         cells = [*(cell(row, c) for c in shown), interval(row.rates["sr"])]
         rows.append([row.split, name, short[row.method], str(row.n), *cells])
-    head = ["Split", "Object", "Method", "N", *(HEADINGS[c] for c in shown), "SR 95 %"]
+    head = ["Split", "Object", "Method", "N", *(headings[c] for c in shown), "SR 95 %"]
     parts = [aligned(head, rows, 3)]
     if shortened := legend(names):
         parts.append(notes_list(map(plain, shortened)))
@@ -731,10 +750,10 @@ def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> s
             both = breakdown.co_failures(t, split)
             pairs = [
                 [c, *(f"{f}/{e}" if e else NA for f, e in zip(failed, evaluated))]
-                for c, failed, evaluated in zip(CRITERIA, both.failed, both.evaluated)
+                for c, failed, evaluated in zip(t.judged, both.failed, both.evaluated)
             ]
             parts += [
                 f"{short[t.method]}, {split}: trials that fail both / in which both were evaluated.",
-                aligned(["", *CRITERIA], pairs, 1),
+                aligned(["", *t.judged], pairs, 1),
             ]
     return "\n\n".join(parts) + "\n"

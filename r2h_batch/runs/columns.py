@@ -5,12 +5,19 @@ Schemas (`schema_of_kind`), the reading of older rows (`later`) and the tables o
 with its name, unless `runs/rows.py` makes it from several.
 """
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import NamedTuple
 
 import pyarrow as pa
 
-from r2h_batch.verdicts import REGISTRY, CollidingPair, PlanReason
+from r2h_batch.verdicts import (
+    ASKED_NAMES,
+    EVERY,
+    CollidingPair,
+    CriterionEntry,
+    PickReason,
+    PlanReason,
+)
 
 NAME = pa.dictionary(pa.int32(), pa.string())
 """A word: of a name or of an enumeration, in lower case."""
@@ -33,6 +40,7 @@ class Column(NamedTuple):
         nullable: whether a row may lack a value.
         since: the first version of the package that stores it; empty: every version does. Rows of older
             versions are read with null here.
+        asked: the criterion without which a run has no such column: one that not all benchmarks ask for.
     """
 
     name: str
@@ -41,6 +49,7 @@ class Column(NamedTuple):
     unit: str = ""
     nullable: bool = True
     since: str = ""
+    asked: str = ""
 
 
 ENDS = ("running", "success", "contact", "collision", "drop", "not_received", "timeout")
@@ -52,9 +61,14 @@ def _words(names: Iterable[str]) -> str:
 
 
 FLOAT, BOOL = pa.float32(), pa.bool_()
-_FAILURES = _words(entry.name for entry in REGISTRY)
+_FAILURES = _words(entry.name for entry in EVERY)
 _PAIRS = _words(pair.name for pair in CollidingPair if pair != CollidingPair.NONE)
 _REASONS = _words(reason.name for reason in PlanReason)
+
+
+def _asked(entry: CriterionEntry) -> str:
+    return entry.name if entry.name in ASKED_NAMES else ""
+
 
 # fmt: off
 _ID = Column("trial_id", pa.int64(), "number of the trial, in the protocol's order", nullable=False)
@@ -76,21 +90,27 @@ TRIALS = (
     Column("outcome", NAME,
            f"`success`, the first failure ({_FAILURES}), `invalid_input`, `invalid_sim`, or `missing`: no answer",
            nullable=False),
-    *(Column(f"passed_{entry.name}", BOOL, "whether the criterion passed; null: not evaluated", since=entry.since)
-      for entry in REGISTRY),
+    *(Column(f"passed_{entry.name}", BOOL, "whether the criterion passed; null: not evaluated", since=entry.since,
+             asked=_asked(entry))
+      for entry in EVERY),
     *(Column(entry.margin_column, FLOAT,
              "positive when the criterion passes, except for Plan with [sampled edges](choices.md#plan)", entry.unit,
-             since=entry.since)
-      for entry in REGISTRY),
+             since=entry.since, asked=_asked(entry))
+      for entry in EVERY),
     *(Column(f"margin_kind_{entry.name}", NAME,
              "[`distance`, `bound` or `cap`](choices.md#margins). Leave caps out of averages",
-             since=entry.since or "0.2.0")
-      for entry in REGISTRY),
+             since=entry.since or "0.2.0", asked=_asked(entry))
+      for entry in EVERY),
     Column("plan_reason", NAME,
            f"why Plan passed or failed: {_REASONS}. `motion_*` and `beyond_*`: of motions from a file"),
     Column("plan_pair", NAME,
            f"the pair that collides at start or goal: {_PAIRS}. With `--receiver body` the arm and torso are `hand`"),
     Column("nearest_pair", NAME, "the nearest pair along a path; null beyond 5 cm", since="0.2.0"),
+    Column("pick_reason", NAME, f"[why Pick passed or failed](pick.md#what-is-judged): {_words(r.name for r in PickReason)}",
+           since="0.3.0", asked="pick"),
+    Column("pick_pair", NAME, "the pair that Pick's margin is about; null where no two bodies decide", since="0.3.0",
+           asked="pick"),
+    Column("pick_part", NAME, "robot part of that pair", since="0.3.0", asked="pick"),
     Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
     Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
     Column("presented", BOOL,
@@ -196,14 +216,15 @@ TABLES = {
 """Kind of table in a run folder -> its columns, in order."""
 
 
-def schema_of_kind(kind: str, joints: int = 6) -> pa.Schema:
+def schema_of_kind(kind: str, joints: int = 6, asks: Container[str] = ()) -> pa.Schema:
     """The Arrow schema of a kind of table.
 
     Args:
         kind: a key of `TABLES`.
         joints: of the run's robot; the length of postures.
+        asks: criteria that the run's benchmark asks for beside those of all.
     """
-    columns = TABLES[kind]
+    columns = (c for c in TABLES[kind] if not c.asked or c.asked in asks)
     return pa.schema([pa.field(c.name, _sized(c.type, joints), c.nullable) for c in columns])
 
 

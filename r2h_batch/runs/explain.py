@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, Unit
+from r2h_batch.verdicts import EVERY, UNITS, Unit
 
 REASONS = {
     "start_in_collision": "the arm collides at home",
@@ -21,6 +21,20 @@ REASONS = {
     "no_free_posture_found": "every posture found at the target collides",
 }
 """Plan's reasons in words."""
+PICKS = {
+    "out_of_reach": "the arm cannot reach the grasp where the object rests",
+    "grasp_collides": "the open gripper meets something at the grasp",
+    "no_straight_way": "no posture follows the straight ways in and up",
+    "approach_collides": "something is in the way to the grasp",
+    "nothing_between_pads": "nothing lies between the pads",
+    "not_held": "the gripper does not hold it",
+    "closing_collides": "the closing fingers meet something",
+    "lift_collides": "something is in the way up",
+    "start_in_collision": "the arm collides at home",
+    "before_collides": "every posture before the grasp meets the object",
+    "no_path_in_budget": "no path to the object was found in time",
+}
+"""Pick's reasons in words."""
 FAILS = {
     "stability": "the gripper does not hold it",
     "reach": "the hand does not reach the object",
@@ -37,6 +51,8 @@ SHORT = ("ik_unreachable", "ik_not_found")
 """Reasons of Plan whose margin is how far the gripper stays from its target."""
 LEAST = 0.05
 """Smaller margins are not printed as a number (mm, deg)."""
+ENTRIES = {entry.name: entry for entry in EVERY}
+"""Name of a criterion -> what the registry says of it."""
 
 
 def body_name(part: str) -> str:
@@ -46,7 +62,7 @@ def body_name(part: str) -> str:
 
 def short_by(row: Mapping[str, Any], criterion: str) -> tuple[float | None, Unit]:
     """By how much a criterion fails, above 0, as people read it (mm, deg), and the unit; None where no number says it."""
-    entry = REGISTRY[CRITERIA.index(criterion)]
+    entry = ENTRIES[criterion]
     size, unit = row.get(entry.margin_column), UNITS[entry.unit]
     known = size is not None and math.isfinite(size)
     return (-unit.scale * float(size) if known else None), unit  # type: ignore[arg-type]
@@ -62,7 +78,7 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     outcome = str(row["outcome"])
     if outcome == "success":
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
-    if outcome not in CRITERIA:
+    if outcome not in ENTRIES:
         return outcome.replace("_", " ")
     size, unit = short_by(row, outcome)
     least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
@@ -73,6 +89,10 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         met = f" ({PAIRS[pair]})" if pair in PAIRS and row.get("plan_pair") else ""
         short = f": {by} short" if by and reason in SHORT else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
+    if outcome == "pick":
+        why = PICKS.get(str(row.get("pick_reason")), "")
+        met = f" ({found})" if (found := _pick_pair(row)) else ""
+        return f"{words}{why}{met}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is None:
@@ -83,6 +103,15 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if text is None or not by:
         return f"{words}{text or ''}".rstrip(" :,")
     return f"{words}{text}, by {by}"
+
+
+def _pick_pair(row: Mapping[str, Any]) -> str:
+    """The two bodies that Pick's margin is about, in words; empty where there are none."""
+    pair, part = row.get("pick_pair"), row.get("pick_part")
+    if pair is None:
+        return ""
+    words = PAIRS.get(str(pair), str(pair).replace("_", " and "))
+    return f"{words}, {body_name(str(part))}" if part else words
 
 
 @dataclass(frozen=True)
@@ -143,7 +172,7 @@ def explained(
         witness: what decides it, where that was computed; else what the row says.
     """
     outcome = str(row["outcome"])
-    criterion = outcome if outcome in CRITERIA else ""
+    criterion = outcome if outcome in ENTRIES else ""
     size, unit = short_by(row, criterion) if criterion else (None, UNITS["m"])
     return Explanation(
         int(row["trial_id"]), method, criterion, None if size is None else -size / unit.scale,
@@ -169,6 +198,8 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         words = PAIRS.get(name, name.replace("_", " and "))
         which = "" if near else ", of the first posture that was looked at"
         return f"{words}{f' ({body_name(str(part))})' if part else ''}{which}"
+    if criterion == "pick":
+        return _pick_pair(row)
     if criterion == "reach":
         return "the object's nearest point to the ball in front of the palm"
     return "the fingers and the receiver's part" if criterion == "affordance" else ""
@@ -185,6 +216,8 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
         return f"{room}material between the pads"
     if criterion == "plan":
         return _plan_passes(row, by)
+    if criterion == "pick":
+        return "a grasp that the table, the person and the arm leave room for"
     if by is None:
         return ""
     if criterion == "reach":

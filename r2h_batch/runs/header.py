@@ -25,6 +25,7 @@ from r2h_batch.base.validate import rule_of
 from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
 from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.verdicts import ASKED_NAMES
 
 FORMAT = 4
 """Version of the folder: fields of its JSON files and the form of its shards."""
@@ -143,6 +144,8 @@ Header = _record(
     # what the cameras of its methods saw; its digest is among the digests
     sees=(_Sees, _ABSENT),
     objects=(list[_Object], _ABSENT),
+    # criteria that its benchmark asks for beside those of all; the benchmark's digest knows them
+    asks=(list[Literal[ASKED_NAMES]], _ABSENT),  # type: ignore[valid-type]
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
     robot=(_Robot, _ABSENT),
     hands=(list[JsonValue], _ABSENT),  # sides of the hand set in order, as (side, number of hands)
@@ -216,7 +219,7 @@ def checked(model: type[Record], data: Any, path: Path) -> dict[str, Any]:
 def _identity(header: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of the header that decide the rows of a run; older folders have no `predictors` or no `hands`."""
     found = {k: header.get(k) for k in IDENTITY}
-    found |= {k: header[k] for k in ("predictors", "hands") if k in header}
+    found |= {k: header[k] for k in ("predictors", "hands", "asks") if k in header}
     return {**found, "device": (header.get("device") or {}).get("kind")}
 
 
@@ -340,7 +343,7 @@ def planned_in(header: Mapping[str, Any], shard: Shard) -> dict[str, int]:
 def schema_of(header: Mapping[str, Any], kind: str) -> pa.Schema:
     """The columns of a kind of table in this run, whose postures are as long as its home posture."""
     home = header["configuration"].get("workplace", {}).get("home_q")
-    return schema_of_kind(kind) if home is None else schema_of_kind(kind, len(home))
+    return schema_of_kind(kind, 6 if home is None else len(home), header.get("asks", ()))
 
 
 def motions_left_out(left_out: Mapping[str, str]) -> list[str]:

@@ -7,16 +7,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
+from r2h_batch.runs.columns import (
+    BOOL,
+    DETAILS,
+    ENDS,
+    TRIALS,
+    Column,
+    later,
+    schema_of_kind,
+)
 from r2h_batch.verdicts import (
+    EVERY,
     PERSON,
-    REGISTRY,
     SEXES,
     SIDES,
     SPLITS,
     CollidingPair,
     MarginKind,
     Outcome,
+    PickReason,
     PlanReason,
 )
 
@@ -45,9 +54,9 @@ KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
     schema_of_kind(kind)
     for kind in ("trials", "details", "poses", "paths", "episodes", "sees", "failures")
 )
-"""Schemas for an arm of six joints; `schema_of_kind` gives those of other arms."""
+"""Schemas for an arm of six joints and a benchmark that asks for nothing more; `schema_of_kind` gives others."""
 
-LATER_COLUMNS = tuple(later("trials"))
+LATER_COLUMNS = tuple(name for name in later("trials") if name in TRIAL_SCHEMA.names)
 """Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""
 
 
@@ -138,8 +147,8 @@ def _stored(scores: "Scores", columns: Sequence[Column], made: dict[str, Any]) -
 def score_rows(
     trials: "Trials", scores: "Scores", names: TrialNames, t_method_s: Any = None
 ) -> pa.Table:
-    """Rows of `TRIAL_SCHEMA` for B scored trials; `t_method_s` (B,) or None where it was not
-    measured."""
+    """Rows of trials for B scored ones, with the columns of the criteria that they were judged by; `t_method_s` (B,) or
+    None where it was not measured."""
     ids = _array(scores.trial_id)
     if not np.array_equal(ids, _array(trials.trial_id)):
         raise ValueError("scores and trials must have the same trial_id in the same order")
@@ -160,12 +169,19 @@ def score_rows(
         "t_method_s": _floats(seconds),
     }
     columns |= _person_columns(trials)
-    for i, entry in enumerate(REGISTRY):
+    if "pick" in scores.criteria:
+        reason, met, part = _array(vars(scores)["pick"]).T
+        columns["pick_reason"] = _named(reason, [r.name.lower() for r in PickReason])
+        columns["pick_pair"] = _named(np.where(met == CollidingPair.NONE, -1, met), pairs)
+        columns["pick_part"] = _named(part, names.parts)
+    for i, entry in enumerate(EVERY[: passed.shape[1]]):
         c = entry.name
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[entry.margin_column] = _floats(margin[:, i])
         columns[f"margin_kind_{c}"] = _named(kind[:, i] - 1, KINDS)
-    return pa.table(_stored(scores, TRIALS, columns), schema=TRIAL_SCHEMA)
+    schema = schema_of_kind("trials", asks=scores.criteria)
+    own = [c for c in TRIALS if c.name in schema.names]
+    return pa.table(_stored(scores, own, columns), schema=schema)
 
 
 def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Table:
@@ -183,15 +199,15 @@ def detail_rows(trials: "Trials", scores: "Scores", names: TrialNames) -> pa.Tab
     return pa.table(_stored(scores, DETAILS, columns), schema=schema)
 
 
-def missing_rows(trials: "Trials", names: TrialNames) -> pa.Table:
-    """Rows of `TRIAL_SCHEMA` for trials without a prediction: outcome `missing`, nothing else."""
-    n = len(trials)
+def missing_rows(trials: "Trials", names: TrialNames, asks: Sequence[str] = ()) -> pa.Table:
+    """Rows of trials without a prediction: outcome `missing`, nothing else. `asks`: as of `schema_of_kind`."""
+    n, schema = len(trials), schema_of_kind("trials", asks=asks)
     columns = {
         **_trial_columns(trials, names),
         "outcome": _named(np.full(n, MISSING), OUTCOME_NAMES),
     }
-    arrays = [columns[f.name] if f.name in columns else pa.nulls(n, f.type) for f in TRIAL_SCHEMA]
-    return pa.table(arrays, schema=TRIAL_SCHEMA)
+    arrays = [columns[f.name] if f.name in columns else pa.nulls(n, f.type) for f in schema]
+    return pa.table(arrays, schema=schema)
 
 
 def pose_rows(predictions: "Predictions") -> pa.Table:

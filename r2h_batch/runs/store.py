@@ -32,15 +32,13 @@ from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
 from r2h_batch.base.validate import path as path_of
-from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
-from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.side import read_side, side_path
 from r2h_batch.runs.verify import first_problem
-from r2h_batch.verdicts import REGISTRY
+from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
 
 if TYPE_CHECKING:
     import pandas
@@ -93,6 +91,16 @@ class Run:
         """Object -> the family that it is an instance of; an object of no family is its own category."""
         objects = [o for run in self.runs for o in run.header.get("objects", ())]
         return {str(o["name"]): str(o.get("category", o["name"])) for o in objects}
+
+    @property
+    def asks(self) -> tuple[str, ...]:
+        """Criteria that its benchmark asks for beside those of all."""
+        return tuple(self.header.get("asks", ()))
+
+    @property
+    def criteria(self) -> tuple[CriterionEntry, ...]:
+        """All that its benchmark asks for, in the order of the stored columns."""
+        return EVERY[: len(REGISTRY) + len(self.asks)]
 
     @property
     def concerned(self) -> dict[str, frozenset[str]]:
@@ -314,11 +322,11 @@ class Run:
         return [s for s in self.missing(method) if entry.quarantine_path(s).exists()]
 
     def trials(self, method: str, columns: Sequence[str] | None = None) -> pa.Table:
-        """One row per trial in planned order, of `TRIAL_SCHEMA`.
+        """One row per trial in planned order.
 
         Args:
             method: its name in the run.
-            columns: names of `TRIAL_SCHEMA`; None: all.
+            columns: names of the table of docs/run_folder.md; None: all that this run may have.
         """
         return self._read("trials", method, columns)
 
@@ -371,9 +379,11 @@ class Run:
         return self._read("failures", method)
 
     def _read(self, kind: str, method: str, columns: Sequence[str] | None = None) -> pa.Table:
-        schema = schema_of(self.entry(method).header, kind)
+        header = self.entry(method).header
+        schema = schema_of(header, kind)
         if columns is not None:
-            schema = pa.schema([schema.field(n) for n in columns])
+            every = schema_of({**header, "asks": ASKED_NAMES}, kind)
+            schema = pa.schema([every.field(n) for n in columns])
         tables = [schema.empty_table(), *self.shards(kind, method, columns)]
         return pa.concat_tables(tables).unify_dictionaries()
 
@@ -381,14 +391,16 @@ class Run:
         self, kind: str, method: str, columns: Sequence[str] | None = None
     ) -> Iterator[pa.Table]:
         """The tables of a kind, one shard at a time, for runs that do not fit into memory. Later
-        columns that an older run lacks are null.
+        columns that an older run lacks, and those of criteria that its benchmark does not ask for, are null.
 
         Args:
             kind: trials, details, poses, paths, episodes, failures or sees.
             method: its name in the run.
-            columns: names of the kind's schema; None: all.
+            columns: names of the kind's schema; None: all that this run may have.
         """
-        entry, names = self.entry(method), list(columns or schema_of_kind(kind).names)
+        entry = self.entry(method)
+        names = list(columns or schema_of(entry.header, kind).names)
+        every = schema_of({**entry.header, "asks": ASKED_NAMES}, kind)
         for stored in entry.shards.values():
             if kind not in stored.kinds:
                 if kind == "failures":  # no simulation of this shard failed
@@ -397,7 +409,7 @@ class Run:
                 raise RunError(f"{entry.folder}: {words}")
             table = stored.table(kind, names)
             for name in set(names) - set(table.column_names):
-                field = schema_of(entry.header, kind).field(name)
+                field = every.field(name)
                 table = table.append_column(field, pa.nulls(len(table), field.type))
             yield table.select(names)
 
@@ -412,7 +424,7 @@ class Run:
         stored = self.entry(method).shards.get(index)
         if stored is None or kind not in stored.kinds:
             raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
-        return stored.table(kind, schema_of_kind(kind).names)
+        return stored.table(kind, schema_of(stored.header, kind).names)
 
     def side(self, method: str, folder: str, path: Path | None = None) -> pa.Table | None:
         """The file beside a method's shards (side.py), as tables read it; None: there is none.
@@ -449,9 +461,9 @@ class Run:
         Args:
             method: its name in the run.
         """
-        columns = [c for c in TRIAL_SCHEMA.names if c not in TIMING]
-        hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
         entry = self.entry(method)
+        columns = [c for c in schema_of(entry.header, "trials").names if c not in TIMING]
+        hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
         for stored in entry.shards.values():
             table = stored.table("trials", columns)
             for name in table.column_names:

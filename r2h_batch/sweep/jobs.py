@@ -5,12 +5,12 @@ import inspect
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from fnmatch import fnmatchcase
 from functools import partial
 from importlib import import_module
-from itertools import groupby
+from itertools import groupby, islice
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast, get_args
@@ -58,6 +58,8 @@ stand for all."""
 
 NAMED = 4
 """Objects of `TRAINED_ON` that tables name."""
+MOST_TRAINED_ON = 10_000
+"""Names and patterns of `TRAINED_ON` at most: each is compared with each judged object."""
 
 CPU_CHUNK = 256
 """Trials scored at once on a CPU: a stop signal is heard between two chunks. On a GPU the evaluator's own
@@ -193,6 +195,7 @@ def prepare(
         "robot": about_robot,
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
+        **({"asks": list(benchmark.asks)} if benchmark.asks else {}),
         "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {
             "kind": work.device.partition(":")[0],
@@ -491,17 +494,25 @@ def _trained_on(name: str, method: _Method, evaluator: "Evaluator") -> str:
     """
     told = getattr(method.found.module, "TRAINED_ON", ())
     told = told(**method.options) if callable(told) else told
-    if isinstance(told, str) or not all(isinstance(t, str) for t in told):
+    several = isinstance(told, Iterable) and not isinstance(told, str)
+    names = tuple(islice(told, MOST_TRAINED_ON + 1)) if several else ()
+    if not several or not all(isinstance(t, str) for t in names):
         raise UsageError(
             f"--method {name}: TRAINED_ON is {describe_value(told)}; write names or patterns of objects, such as ['cup_s1005_*']"
         )
-    for model in evaluator.scene.objects:
-        if any(fnmatchcase(model.name, pattern) for pattern in told):
+    if len(names) > MOST_TRAINED_ON:
+        raise UsageError(
+            f"--method {name}: TRAINED_ON has more than {MOST_TRAINED_ON} names; write patterns, such as ['cup_s1005_*']"
+        )
+    for pattern in names:
+        if seen := [
+            model.name for model in evaluator.scene.objects if fnmatchcase(model.name, pattern)
+        ]:
             raise UsageError(
-                f"--method {name}: was trained on {model.name}, says its TRAINED_ON; judge it on other objects"
+                f"--method {name}: was trained on {seen[0]}, says its TRAINED_ON; judge it on other objects"
             )
-    few = ", ".join(told[:NAMED])
-    return f"{few} and {len(told) - NAMED} more objects" if len(told) > NAMED else few
+    few = ", ".join(names[:NAMED])
+    return f"{few} and {len(names) - NAMED} more objects" if len(names) > NAMED else few
 
 
 class NotBuiltIn(UsageError):

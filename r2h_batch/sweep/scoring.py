@@ -267,7 +267,7 @@ def _score_chunk(
             if job.looked is not None:
                 parts[-1]["sees"] = sees_rows(job.looked(part.trial_id))
     if not answered.all():
-        parts.append({"trials": missing_rows(trials[~answered], names)})
+        parts.append({"trials": missing_rows(trials[~answered], names, evaluator.benchmark.asks)})
     kinds = dict.fromkeys(kind for part in parts for kind in part)
     whole = {kind: pa.concat_tables([p[kind] for p in parts if kind in p]) for kind in kinds}
     return {k: _in_order(t.unify_dictionaries(), trials.trial_id.numpy()) for k, t in whole.items()}

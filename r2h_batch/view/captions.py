@@ -8,7 +8,7 @@ import numpy as np
 
 from r2h_batch.report.text import plain
 from r2h_batch.runs.explain import LEAST, PAIRS, headline
-from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS, Unit
+from r2h_batch.verdicts import CRITERIA, EVERY, UNITS, Unit
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.postures import Postures
 from r2h_batch.view.stored import StoredTrial
@@ -104,7 +104,7 @@ def as_html(drawing: Drawing) -> str:
 def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
     """(name, verdict, margin) of each criterion."""
     row, found = drawing.stored.row, []
-    for name in CRITERIA:
+    for name in (e.name for e in EVERY if e.name in CRITERIA or f"passed_{e.name}" in row):
         passed = row.get(f"passed_{name}")
         verdict = "not evaluated" if passed is None else "passes" if passed else "fails"
         found.append((name, verdict, _margin(row, name)))
@@ -126,7 +126,7 @@ def _margin(row: dict[str, Any], name: str) -> str:
 
 def _margin_column(name: str) -> tuple[str, Unit]:
     """The stored column of a criterion's margin, and how it is shown."""
-    entry = REGISTRY[CRITERIA.index(name)]
+    entry = next(entry for entry in EVERY if entry.name == name)
     return entry.margin_column, UNITS[entry.unit]
 
 

@@ -59,7 +59,7 @@ from r2h_batch.scene.robot import (
 )
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
-from r2h_batch.verdicts import CRITERIA, REGISTRY, SEXES
+from r2h_batch.verdicts import EVERY, SEXES
 from r2h_batch.view.skin import CLOTHED, chair_of, skin_of
 from r2h_batch.view.stored import StoredTrial
 
@@ -187,6 +187,7 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
     """The contents of trial.json. Poses are row-major 4x4 in metres; T_a_b takes coordinates in b
     to a."""
     row, header = stored.row, stored.header
+    criteria = [e for e in EVERY if e.margin_column in row]
     as_stored = "trial_id object split side hand_index outcome borderline plan_reason plan_pair"
     as_stored += " width_m opening_m grasp_shift_m t_plan_s t_exec_s q_goal"
     poses = ("T_obj_ee", "T_obj_ee_attached", "T_world_ee", "T_world_hand")
@@ -196,12 +197,12 @@ def describe(stored: StoredTrial) -> dict[str, Any]:
         **{name: header[name] for name in ("protocol", "configuration", "digests", "versions")},
         "git_commit": header.get("git_commit"),
         "method": stored.method,
-        "passed": {c: row[f"passed_{c}"] for c in CRITERIA},
+        "passed": {e.name: row[f"passed_{e.name}"] for e in criteria},
         **{
             f"margin_{unit}": {
-                e.name: _finite(row[e.margin_column]) for e in REGISTRY if e.unit == unit
+                e.name: _finite(row[e.margin_column]) for e in criteria if e.unit == unit
             }
-            for unit in dict.fromkeys(e.unit for e in REGISTRY)
+            for unit in dict.fromkeys(e.unit for e in criteria)
         },
         "witness": {
             "plan_part": row["witness_plan_part"],

@@ -33,7 +33,7 @@ from r2h_batch.scene.robot import Robot, load_robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import CRITERIA, MOST_SECONDS, REGISTRY, UNITS
+from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, UNITS
 from r2h_batch.view.postures import Postures, postures_at
 
 Array = NDArray[np.float64]
@@ -220,12 +220,13 @@ class Reader:
 def one_failure_of_each(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Kind of failure -> the first trial that has it, in the order of the criteria; Plan's by their reasons."""
     found: dict[str, int] = {}
+    order = [entry.name for entry in IN_ORDER]
     for row in sorted(rows, key=lambda r: r["trial_id"]):
-        if row["outcome"] in CRITERIA:
+        if row["outcome"] in order:
             plan = row["outcome"] == "plan"
             kind = f"plan-{row['plan_reason']}" if plan else str(row["outcome"])
             found.setdefault(kind.replace("_", "-"), row["trial_id"])
-    return dict(sorted(found.items(), key=lambda item: CRITERIA.index(item[0].partition("-")[0])))
+    return dict(sorted(found.items(), key=lambda item: order.index(item[0].partition("-")[0])))
 
 
 def judged_again(
@@ -271,7 +272,7 @@ def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
     if stored["outcome"] != again["outcome"]:
         words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
         return f"computed again here {words}"
-    for entry in REGISTRY:
+    for entry in (e for e in EVERY if e.margin_column in stored and e.margin_column in again):
         a, b = (row[entry.margin_column] for row in (stored, again))
         same = SAME_M / UNITS[entry.unit].worth_m
         if (a is None) != (b is None) or (a is not None and a != b and abs(a - b) > same):

@@ -168,6 +168,9 @@ def test_what_a_method_was_trained_on_stands_in_tables_comparisons_and_leaderboa
         ("('cu*',)", "was trained on cup, says its TRAINED_ON"),
         ("'cup'", "TRAINED_ON is 'cup'; write names or patterns of objects"),
         ("(3,)", "TRAINED_ON is"),
+        ("3", "TRAINED_ON is 3"),
+        ("tuple(f'x{k}_*' for k in range(10_001))", "TRAINED_ON has more than 10000 names; write patterns"),
+        ("iter(str, 1)", "TRAINED_ON has more than 10000 names; write patterns"),
         ("lambda **options: ['hammer']", "was trained on hammer"),
     ],
 )

@@ -25,10 +25,13 @@ from r2h_batch.report.statistics.intervals import over_clusters
 from r2h_batch.report.statistics.shares import counted_shares
 from r2h_batch.report.statistics.tally import SECONDS, Tally
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import REGISTRY, SPLITS
+from r2h_batch.verdicts import ASKED, REGISTRY, SPLITS
 
 FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
 """Rate of first failures -> its criterion, in the order of Table I's columns."""
+
+ASKED_FAILURES = {entry.rate: entry for entry in ASKED}
+"""The same of criteria that not all benchmarks ask for; lines of the others have no such rate."""
 
 PARTIAL = {rate: entry for rate, entry in FAILURES.items() if entry.applies is not None}
 """Those of criteria for some objects: rates of the trials that they concern."""
@@ -75,7 +78,8 @@ class Row:
         method: its name.
         n: planned trials.
         counts: outcome -> trials.
-        rates: key of `RATES` -> rate of all n trials; None where it is not defined.
+        rates: key of `RATES` -> rate of all n trials; None where it is not defined. Also those of `ASKED_FAILURES` that the
+            benchmark asks for.
         sr_new_objects: the success rate with its interval for new objects.
         n_objects: different objects.
         sr_new_categories: the success rate with its interval for new categories of objects.
@@ -228,6 +232,8 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]], few: in
         successes[cell["object"]] += cell["successes"]
     n = trials.total()
     rates = {rate: _rate(sum(counts[o] for o in of_it), n) for rate, of_it in RATES.items()}
+    asked = {rate: e for rate, e in ASKED_FAILURES.items() if e.name in counted.judged}
+    rates |= {rate: _rate(counts[entry.name], n) for rate, entry in asked.items()}
     for rate, entry in FAILURES.items():
         if split not in entry.splits and (failed := counts[entry.name]):
             what = f"trials failed {entry.name.capitalize()}, which {split} skips"
@@ -298,7 +304,7 @@ def over_objects(counted: Tally, split: str, few: int = FEW) -> Row:
 
     return replace(
         whole,
-        rates={name: rate(lambda r, k=name: r.rates[k]) for name in RATES},  # type: ignore[misc]
+        rates={name: rate(lambda r, k=name: r.rates[k]) for name in whole.rates},  # type: ignore[misc]
         times={name: mean(name) for name in TIMES},
         shares={
             name: found
@@ -358,7 +364,7 @@ def average_row(rows: Sequence[Row]) -> Row:
         method=rows[0].method,
         n=sum(r.n for r in rows),
         counts={name: sum(r.counts[name] for r in rows) for name in OUTCOME_NAMES},
-        rates={name: rate(name) for name in RATES},
+        rates={name: rate(name) for name in rows[0].rates},
         sr_new_objects=over([r.sr_new_objects for r in rows]),
         n_objects=sum(r.n_objects for r in rows),
         sr_new_categories=over([r.sr_new_categories for r in rows]),

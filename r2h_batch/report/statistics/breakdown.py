@@ -11,12 +11,12 @@ from r2h_batch.report.statistics.codes import FAILED, UNEVALUATED, codes, states
 from r2h_batch.report.statistics.tally import Tally
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
+from r2h_batch.verdicts import UNITS
 
 
 @dataclass(frozen=True)
 class CoFailures:
-    """(5, 5) counts in the order of `CRITERIA`: trials in which both criteria fail, and trials in
+    """Counts (C, C) in the order of `Tally.judged`: trials in which both criteria fail, and trials in
     which both were evaluated.
 
     The diagonal counts each criterion wherever it was evaluated, not only where it was the first
@@ -30,7 +30,8 @@ class CoFailures:
 def co_failures(counted: Tally, split: str | None = None) -> CoFailures:
     """Which criteria fail together among the trials of a split, or among all."""
     groups = (counted if split is None else counted.of_split(split)).groups
-    state = np.column_stack(list(states(groups).values()))
+    found = states(groups)
+    state = np.column_stack([found[name] for name in counted.judged])
     n = groups["n"].to_numpy()
     both = [np.einsum("k,ki,kj->ij", n, x, x) for x in (state == FAILED, state != UNEVALUATED)]
     return CoFailures(*both)
@@ -67,10 +68,11 @@ def _histogram(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def margin_histograms(run: Run, method: str) -> dict[str, Histogram]:
     """Criterion -> histogram of its finite margins, in its unit."""
-    ends = {e.name: (UNITS[e.unit].low, UNITS[e.unit].high) for e in REGISTRY}
-    counts = {c: np.zeros(BINS, np.int64) for c in CRITERIA}
-    for table in run.shards("trials", method, [e.margin_column for e in REGISTRY]):
-        for e in REGISTRY:
+    entries = run.criteria
+    ends = {e.name: (UNITS[e.unit].low, UNITS[e.unit].high) for e in entries}
+    counts = {e.name: np.zeros(BINS, np.int64) for e in entries}
+    for table in run.shards("trials", method, [e.margin_column for e in entries]):
+        for e in entries:
             values = table[e.margin_column].to_numpy().astype(np.float64)
             counts[e.name] += _histogram(values, *ends[e.name])
     return {c: Histogram(*ends[c], n) for c, n in counts.items()}
@@ -96,9 +98,11 @@ def time_histograms(run: Run, name: str) -> dict[str, Histogram]:
     return {m: Histogram(0.0, high, count) for m, count in counts.items()}
 
 
-SHOWN = ("trial_id", "object", "split", "side", "outcome", *(e.margin_column for e in REGISTRY))
-SHOWN += ("plan_reason", "plan_pair", "borderline", "t_exec_s")
-"""Columns of the trials on a page."""
+def shown(run: Run) -> tuple[str, ...]:
+    """Columns of the trials on a page."""
+    first = ("trial_id", "object", "split", "side", "outcome")
+    last = ("plan_reason", "plan_pair", "borderline", "t_exec_s")
+    return (*first, *(e.margin_column for e in run.criteria), *last)
 
 
 def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
@@ -108,7 +112,7 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
     each = max(1, limit // (MISSING + 1))
     counts = np.zeros(MISSING + 1, np.int64)
     whole = sum(run.planned(method).values()) <= limit
-    for table in run.shards("trials", method, SHOWN):
+    for table in run.shards("trials", method, shown(run)):
         total += len(table)
         if whole:
             kept.append(table)

@@ -7,7 +7,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, EVERY, IN_ORDER, REGISTRY, SPLITS, Outcome
 
 UNEVALUATED, FAILED, PASSED = 0, 1, 2
 """States of a criterion in a trial."""
@@ -30,19 +30,21 @@ def codes(table: pa.Table, name: str, order: Sequence[str]) -> np.ndarray:
 
 def states(table: pa.Table) -> dict[str, np.ndarray]:
     """Criterion -> (N,) uint8 `UNEVALUATED`, `FAILED` or `PASSED`, from the columns `passed_*`."""
-    columns = {c: table[f"passed_{c}"].cast(pa.uint8()) for c in CRITERIA}
+    names = (entry.name for entry in EVERY)
+    there = (c for c in names if f"passed_{c}" in table.column_names)
+    columns = {c: table[f"passed_{c}"].cast(pa.uint8()) for c in there}
     return {
         c: pc.add(v, np.uint8(FAILED)).fill_null(UNEVALUATED).to_numpy() for c, v in columns.items()
     }
 
 
 def judged_by(run: Run, method: str) -> tuple[str, ...]:
-    """The criteria that a method's rows were judged by, in the order of `CRITERIA`: all but those that
-    came after its rows."""
+    """The criteria that a method's rows were judged by, in the order of `EVERY`: all but those that
+    came after its rows, and those that its benchmark asks for."""
     if not any(entry.since for entry in REGISTRY) or not sum(run.planned(method).values()):
-        return CRITERIA
+        return (*CRITERIA, *run.asks)
     columns = run.shard("trials", method, 0).column_names
-    return tuple(name for name in CRITERIA if f"passed_{name}" in columns)
+    return (*(name for name in CRITERIA if f"passed_{name}" in columns), *run.asks)
 
 
 def first_failures(
@@ -60,12 +62,12 @@ def first_failures(
         concerned: criterion that is not for all objects -> (N,) bool, whether it concerns the trial's.
 
     Returns:
-        (N,) int8 code of `Outcome`: the first failed criterion, or success; -1 if no criterion
+        (N,) int8 code of `Outcome`: the first failed criterion (`IN_ORDER`), or success; -1 if no criterion
         failed and one that the split requires was not evaluated.
     """
     found = np.full(len(split), Outcome.SUCCESS, np.int8)
     unseen = np.zeros(len(split), bool)
-    for entry in reversed(REGISTRY):
+    for entry in (e for e in reversed(IN_ORDER) if e.name in state):
         found[state[entry.name] == FAILED] = Outcome[entry.name.upper()]
         required = np.array([s in entry.splits and entry.name in judged for s in SPLITS])
         asked = required[split] & (concerned or {}).get(entry.name, True)

@@ -12,13 +12,13 @@ from r2h_batch.report.statistics.codes import first_failures, judged_by, states
 from r2h_batch.report.statistics.shares import counted_shares, with_shares
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import CRITERIA, SPLITS, Outcome
+from r2h_batch.verdicts import CRITERIA, EVERY, SPLITS, Outcome
 
 SECONDS = ("t_plan_s", "t_exec_s", "t_method_s")
 """Stored times."""
 
 _WORDS = ("object", "split", "outcome")
-_KEYS = [*_WORDS, *(f"passed_{c}" for c in CRITERIA)]
+_KEYS = [*_WORDS, *(f"passed_{entry.name}" for entry in EVERY)]
 _PIECES = 64
 """Number of shards' counts that are added up together."""
 
@@ -64,8 +64,8 @@ class Tally:
             objects |= dict.fromkeys(pc.unique(table["object"]).to_pylist())
             groups.append(_counted(table))
             if len(groups) == _PIECES:
-                groups = [_summed(pa.concat_tables(groups), _KEYS)]
-        whole = _summed(pa.concat_tables(groups), _KEYS)
+                groups = [_summed_alike(groups)]
+        whole = _summed_alike(groups)
         for name, known in (("split", SPLITS), ("outcome", OUTCOME_NAMES)):
             if unknown := [w for w in pc.unique(whole[name]).to_pylist() if w not in known]:
                 raise ValueError(f"{name} holds {unknown[0]!r}; known are {', '.join(known)}")
@@ -92,7 +92,7 @@ def tally(run: Run, method: str) -> Tally:
             first failure.
     """
     trials = run.planned(method)
-    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _stored()))
+    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _stored(run)))
     counted = replace(
         counted, judged=judged_by(run, method), category=run.categories, concerned=run.concerned
     )
@@ -124,10 +124,22 @@ def check_planned(method: str, trials: Mapping[str, int], found: Mapping[str, in
             raise ValueError(f"{method}: {count} rows in {split}, {planned} were planned")
 
 
-def _stored() -> list[str]:
+def _stored(run: Run) -> list[str]:
     """The columns that are read."""
     needs = (column for share in counted_shares().values() for column in share.needs)
-    return list(dict.fromkeys((*_KEYS, *SECONDS, *needs)))
+    keys = (*_WORDS, *(f"passed_{entry.name}" for entry in run.criteria))
+    return list(dict.fromkeys((*keys, *SECONDS, *needs)))
+
+
+def _keys(table: pa.Table) -> list[str]:
+    """Those of `_KEYS` that a table has: not all benchmarks ask for every criterion."""
+    return [name for name in _KEYS if name in table.column_names]
+
+
+def _summed_alike(groups: list[pa.Table]) -> pa.Table:
+    """The counts added up over the groups that agree in all that tells groups apart."""
+    whole = pa.concat_tables(groups)
+    return _summed(whole, _keys(whole))
 
 
 def _summed_up() -> list[str]:
@@ -145,9 +157,10 @@ def _counted(table: pa.Table) -> pa.Table:
     success = pc.equal(table["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
     table = with_shares(table).append_column("successes", success)
     added = [(name, how) for name in _summed_up() for how in ("sum", "count")]
-    groups = table.group_by(_KEYS, use_threads=False)
+    keys = _keys(table)
+    groups = table.group_by(keys, use_threads=False)
     groups = groups.aggregate([([], "count_all"), ("successes", "sum"), *added])
-    groups = groups.rename_columns([*_KEYS, *_counts()])
+    groups = groups.rename_columns([*keys, *_counts()])
     types = dict.fromkeys(_WORDS, pa.string())
     types |= {f"{name}_sum": pa.float64() for name in counted_shares()}
     for name, kind in types.items():

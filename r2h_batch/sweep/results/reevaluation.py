@@ -28,7 +28,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.header import TIMING
+from r2h_batch.runs.header import TIMING, schema_of
 from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import Run
@@ -341,7 +341,8 @@ def _differing_rows(
 ) -> Iterator[Difference]:
     """Every stored value that the evaluator does not give again bit for bit; `as_motions`: the method is a
     file of motions. Rows without `t_plan_s` were judged as given motions."""
-    again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in COMPARED}
+    compared = _compared(run)
+    again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in compared}
     if as_motions and "paths" not in stored:
         raise RunError(f"{run.folder}: a method of motions has no paths; sweep again")
     poses, rows = stored["poses"], stored["trials"]
@@ -358,21 +359,21 @@ def _differing_rows(
         ids = part["trial_id"].to_numpy()
         tables = judge.tables(ids, grasp, handover, motions, tuple(stored))
         for kind in again.keys() & tables.keys():
-            again[kind] |= _by_id(tables[kind], kind)
+            again[kind] |= _by_id(tables[kind], compared[kind])
     unsure = {i for i, row in again["trials"].items() if row["borderline"]}
     for kind, table in stored.items():
-        if kind not in COMPARED:
+        if kind not in compared:
             continue
         # a run of another version may lack columns; a stored value or null must match
-        silent = set(COMPARED[kind]) - set(table.column_names)
+        silent = set(compared[kind]) - set(table.column_names)
         if silent and "code" not in judge.other:
             raise RunError(f"{run.folder}: its {kind} lack column {min(silent)!r}; sweep again")
-        found = _by_id(table, kind)
+        found = _by_id(table, compared[kind])
         for trial_id in sorted(found.keys() | again[kind].keys()):
             # without a pose the method gave no answer, and the row must say so
             row = found.get(trial_id, {"trial_id": None})
             same = {k: row.get(k) for k in ("trial_id", "object", "split", "side")}
-            none = dict.fromkeys(COMPARED[kind]) | same | {"outcome": "missing"}
+            none = dict.fromkeys(compared[kind]) | same | {"outcome": "missing"}
             other = again[kind].get(trial_id, none if kind == "trials" else {"trial_id": None})
             for k in row.keys() & other.keys() - silent:
                 if row[k] != other[k] and repr(row[k]) != repr(other[k]):  # a nan is one
@@ -380,8 +381,14 @@ def _differing_rows(
                     yield Difference(trial_id, name, row[k], other[k], trial_id in unsure)
 
 
-def _by_id(table: pa.Table, kind: str) -> dict[int, dict[str, Any]]:
-    names = [n for n in COMPARED[kind] if n in table.column_names]
+def _compared(run: Run) -> dict[str, tuple[str, ...]]:
+    """`COMPARED` with the columns of what the run's benchmark asks for."""
+    own = schema_of(run.header, "trials").names
+    return {**COMPARED, "trials": tuple(n for n in own if n not in TIMING)}
+
+
+def _by_id(table: pa.Table, compared: Sequence[str]) -> dict[int, dict[str, Any]]:
+    names = [n for n in compared if n in table.column_names]
     return {row["trial_id"]: row for row in table.select(names).to_pylist()}
 
 

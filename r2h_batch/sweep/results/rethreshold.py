@@ -41,11 +41,17 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
-    from r2h_batch.report.statistics.aggregate import FAILURES, PARTIAL
+    from r2h_batch.report.statistics.aggregate import ASKED_FAILURES, FAILURES, PARTIAL
     from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
     from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
 
-    shown = ["SR", *(entry.heading for entry in FAILURES.values())]
+    tables = [counts for point in points for counts in point.counts.values()]
+    failures = [
+        entry
+        for rate, entry in (FAILURES | ASKED_FAILURES).items()
+        if rate in FAILURES or any(c[:, Outcome[entry.name.upper()]].any() for c in tables)
+    ]
+    shown = ["SR", *(entry.heading for entry in failures)]
     short = {method: plain(name) for method, name in short_names(methods).items()}
     lines = []
     for point in points:
@@ -53,7 +59,7 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
             for k, counts in enumerate(point.counts[method]):
                 if n := counts.sum():
                     rates = [f"{100 * counts[Outcome.SUCCESS] / n:.1f}"]
-                    for entry in FAILURES.values():
+                    for entry in failures:
                         failed, of = 100 * counts[Outcome[entry.name.upper()]], n
                         if entry.applies is not None:
                             of = point.concerned[method][entry.name][k]

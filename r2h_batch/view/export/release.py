@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.data.release import PADS_M, T_world_release, along_z, palm_in_hand
-from r2h_batch.verdicts import CRITERIA, PAPER, SIDES, SPLITS
+from r2h_batch.verdicts import EVERY, PAPER, SIDES, SPLITS
 from r2h_batch.view.export.region_boxes import region_as_boxes
 from r2h_batch.view.mjcf import posture_at
 from r2h_batch.view.stored import StoredTrial
@@ -219,8 +219,8 @@ def release_names(
 
 
 _FLAGS = {c: f"passed_{c}" for c in PAPER}
-_SUCCESS = {"success", *CRITERIA} - {*PAPER}
-"""Outcomes of rows that pass the paper's criteria: further ones come behind these."""
+_SUCCESS = {"success", *(entry.name for entry in EVERY)} - {*PAPER}
+"""Outcomes of rows that may pass the paper's criteria."""
 _TIMES = ("planning_time_s", "execution_time_s", "total_time_s")
 _CSV = (
     *("trial_id", "object_id", "variant", "split", "success", "first_failure", *PAPER),
@@ -268,7 +268,7 @@ def _result(row: Mapping[str, Any], name: str, variant: str) -> dict[str, Any]:
         "split": row["split"],
         "variant": variant,
         "metrics": metrics,
-        "success": row["outcome"] in _SUCCESS,
+        "success": row["outcome"] in _SUCCESS and False not in metrics.values(),
         "first_failure": next((c for c, passed in metrics.items() if passed is False), None),
         "width_m": row["width_m"],
         "contact_frames": [],

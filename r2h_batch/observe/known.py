@@ -1,0 +1,51 @@
+"""Moments of trials that were asked for before: drawing one costs more than judging its trial."""
+
+from functools import lru_cache
+
+import torch
+from jaxtyping import Float32
+from torch import Tensor
+
+from r2h_batch.observe.moment import moments
+from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Trials
+
+MOST_KNOWN = 1 << 16
+"""Moments that `KnownMoments` keeps."""
+
+
+class KnownMoments:
+    """Moments of a scene's trials, each drawn once: a method that searches asks for the same trials again and again.
+
+    Args:
+        scene: as of `moments`.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._known: dict[bytes, Tensor] = {}
+
+    def of(self, trials: Trials) -> Float32[Tensor, "n 4 4"]:
+        """As `moments`.
+
+        Args:
+            trials: N trials.
+        """
+        decide = [trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand]
+        decide += [] if trials.receiver is None else [trials.receiver]
+        rows = ([row.tobytes() for row in x.cpu().numpy()] for x in decide)
+        keys = [b"".join(parts) for parts in zip(*rows, strict=True)]
+        if len(self._known) + len(keys) > MOST_KNOWN:
+            self._known.clear()
+        if new := [i for i, key in enumerate(keys) if key not in self._known]:
+            drawn = moments(self._scene, trials[new])
+            self._known |= zip((keys[i] for i in new), drawn, strict=True)
+        if not keys:
+            return moments(self._scene, trials)
+        return torch.stack([self._known[key] for key in keys])
+
+
+@lru_cache(maxsize=4)
+def known_moments(scene: Scene) -> KnownMoments:
+    """Those of a scene, for all its evaluators."""
+    return KnownMoments(scene)

@@ -1,0 +1,264 @@
+"""Draft r2h-v3: r2h-v2 with Pick. What Pick adds, what it leaves as it is, and the same bits however trials are asked."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from rounds import each
+
+from r2h_batch import load_benchmark
+from r2h_batch.base.io.read import read_json
+from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import metrics
+from r2h_batch.judge.pick import picked
+from r2h_batch.judge.scores import verdict
+from r2h_batch.methods import oracle, random
+from r2h_batch.methods.from_table import BACKS, MOST_BACK_M, picked_grasps
+from r2h_batch.observe import moments
+from r2h_batch.observe.known import KnownMoments
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.of_run import benchmark_of_run
+from r2h_batch.report.statistics.thresholds import rethreshold
+from r2h_batch.report.table import object_lines, render, table_of
+from r2h_batch.runs.explain import PICKS, headline
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.rethreshold import render as render_points
+from r2h_batch.types import CollidingPair
+from r2h_batch.verdicts import CRITERIA, EVERY, IN_ORDER, Outcome, PickReason
+
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
+N = 8
+
+
+@pytest.fixture(scope="module")
+def draft():
+    return load_benchmark("r2h-v3-draft")
+
+
+@pytest.fixture(scope="module")
+def judge(draft):
+    return Evaluator(draft, KINEMATIC)
+
+
+@pytest.fixture(scope="module")
+def asked(judge):
+    """Half of the answers are random, half of the oracle: each criterion passes and fails for some."""
+    trials = judge.benchmark.trials(N)
+    answers = (random.predict(trials, judge.scene, seed=1), oracle.predict(trials, judge.scene, evaluator=judge))
+    T = (torch.cat([getattr(a, k) for a in answers]) for k in ("T_obj_ee", "T_world_ee"))
+    twice = benchmark_rows(judge, trials)
+    return (*T, twice)
+
+
+def benchmark_rows(judge, trials):
+    return judge.benchmark.trials_with_ids(torch.cat([trials.trial_id, trials.trial_id]))
+
+
+@pytest.fixture(scope="module")
+def scores(judge, asked):
+    return judge.score(*asked)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    where = tmp_path_factory.mktemp("from_table")
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "6", "--sim", "none"]
+    for name, shard in each((("whole", "0"), ("parts", "5"))):
+        assert sweep([*line, "--shard-trials", shard, "--out", str(where / name)]) == 0
+    return where
+
+
+@pytest.mark.check
+def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(draft):
+    v2 = load_benchmark("r2h-v2")
+    assert v2.asks == () and draft.asks == ("pick",)
+    assert replace(draft, asks=()).digest != draft.digest
+    assert replace(v2, asks=("pick",)).digest != v2.digest == replace(v2, asks=()).digest
+    for asks in each((("plan",), ("pick", "pick"), ("",))):
+        with pytest.raises(ValueError, match=r"asks is .* allowed are \(\) and \('pick',\)"):
+            replace(v2, asks=asks)
+    others = Evaluator(v2, KINEMATIC)
+    trials = v2.trials(1)
+    answers = random.predict(trials, others.scene, seed=0)
+    for stages in each(("pose", "all")):
+        found = others.score(answers.T_obj_ee, answers.T_world_ee, trials, stages)
+        assert found.criteria == CRITERIA and not hasattr(found, "pick") and "outcome/pick" not in found.scalars()
+
+
+def test_pick_is_what_the_judge_of_grasps_says_of_the_moment(judge, asked, scores):
+    T_obj_ee, _, trials = asked
+    alone = picked(judge.scene, T_obj_ee, moments(judge.scene, trials), trials)
+    column = scores.criteria.index("pick")
+    assert torch.equal(scores.passed[:, column], alone.picked) and bool(scores.evaluated[:, column].all())
+    assert torch.equal(scores.margin[:, column], alone.margin_m)
+    for k, field in each(enumerate(("reason", "pair", "body"))):
+        assert torch.equal(scores.pick[:, k], getattr(alone, field))
+    assert scores.passed[:, column].any() and not scores.passed[:, column].all()
+    assert scores.scalars()["outcome/pick"] > 0 and "pick" in scores.summary()
+    assert {"passed_pick", "margin_pick_m"} <= set(scores.to_pandas())
+
+
+def test_all_else_is_as_without_pick(draft, judge, asked, scores):
+    T_obj_ee, T_world_ee, trials = asked
+    other = Evaluator(replace(draft, asks=()), KINEMATIC)
+    before = other.score(T_obj_ee, T_world_ee, other.benchmark.trials_with_ids(trials.trial_id))
+    n = len(CRITERIA)
+    for name in each(("passed", "evaluated", "margin_kind")):
+        assert torch.equal(getattr(scores, name)[:, :n], getattr(before, name))
+    assert torch.equal(scores.margin[:, :n].nan_to_num(-9), before.margin.nan_to_num(-9))
+    failed = scores.failed("pick")
+    assert failed.any() and torch.equal(scores.outcome[~failed], before.outcome[~failed])
+    assert torch.equal(scores.success, before.success & scores.passed[:, n])
+
+
+@pytest.mark.check
+def test_the_first_failure_is_stability_then_pick_then_the_others():
+    assert [entry.name for entry in IN_ORDER] == ["stability", "pick", *CRITERIA[1:]]
+
+    class Held:
+        active = torch.ones(3, dtype=torch.bool)
+
+        class grasp:
+            width_m = opening_m = shift_m = torch.zeros(3)
+
+    fine, bad = torch.ones(3), torch.tensor([-1.0, 1.0, 1.0])
+    numbers = dict.fromkeys((e.name for e in EVERY), fine) | {
+        "stability": bad,
+        "pick": torch.tensor([-1.0, -1.0, 1.0]),
+        "plan": torch.tensor([-1.0, -1.0, -1.0]),
+    }
+    found = verdict([metrics.Criterion(numbers[e.name], Held.active) for e in EVERY], Held, None)
+    assert [Outcome(k).name for k in found["outcome"].tolist()] == ["STABILITY", "PICK", "PLAN"]
+
+
+def test_rows_have_the_same_bits_alone_and_in_any_order(judge, asked, scores):
+    T_obj_ee, T_world_ee, trials = asked
+    order = torch.randperm(2 * N, generator=torch.Generator().manual_seed(3))
+    again = judge.score(T_obj_ee[order], T_world_ee[order], trials[order])
+    lone = [judge.score(T_obj_ee[i : i + 1], T_world_ee[i : i + 1], trials[i : i + 1]) for i in (0, N + 1)]
+    for name in each(("outcome", "margin", "pick", "margin_kind", "borderline")):
+        mine = getattr(scores, name)
+        assert torch.equal(getattr(again, name).nan_to_num(-9), mine[order].nan_to_num(-9)), name
+        for i, row in zip((0, N + 1), lone, strict=True):
+            assert torch.equal(getattr(row, name).nan_to_num(-9), mine[i : i + 1].nan_to_num(-9)), name
+
+
+def test_the_pose_stage_judges_pick_without_the_path_from_home(judge, asked, scores):
+    T_obj_ee, T_world_ee, trials = asked
+    pose = judge.score(T_obj_ee, T_world_ee, trials, "pose")
+    column = scores.criteria.index("pick")
+    assert pose.criteria == scores.criteria
+    assert not (scores.passed & ~pose.passed)[:, column].any()  # what fails there fails the benchmark too
+    paths = (PickReason.START_IN_COLLISION, PickReason.BEFORE_COLLIDES, PickReason.NO_PATH_IN_BUDGET)
+    of_path = torch.isin(scores.pick[:, 0], torch.tensor(paths, dtype=torch.int32))
+    assert torch.equal(pose.passed[:, column], scores.passed[:, column] | of_path)
+    assert (pose.margin[:, column] < 0).tolist() == (~pose.passed[:, column]).tolist()
+
+
+def test_a_row_that_is_no_pose_is_not_picked(judge, asked):
+    T_obj_ee, T_world_ee, trials = (x[:2].clone() for x in asked)
+    T_obj_ee[0, 0, 0] = torch.nan
+    trials.T_world_hand[1, 0, 3] = torch.nan
+    found = judge.score(T_obj_ee, T_world_ee, trials)
+    assert found.outcome.tolist() == [Outcome.INVALID_INPUT] * 2 and not found.evaluated.any()
+    assert found.pick[:, 0].tolist() == [PickReason.NOT_EVALUATED] * 2
+
+
+def test_errors_of_execution_are_refused(draft):
+    config = replace(KINEMATIC, execution_error=ExecutionError(camera_m=0.001))
+    with pytest.raises(ValueError, match="execution_error changes poses, and r2h-v3-draft asks for Pick"):
+        Evaluator(draft, config)
+
+
+def test_moments_are_drawn_once_and_are_those_of_any_draw(judge, monkeypatch):
+    trials, known = judge.benchmark.trials(3), KnownMoments(judge.scene)
+    whole = moments(judge.scene, trials)
+    assert torch.equal(known.of(trials[[4, 1]]), whole[[4, 1]])
+    assert torch.equal(known.of(trials), whole)
+    monkeypatch.setattr("r2h_batch.observe.known.moments", None)  # it is not asked again
+    assert torch.equal(known.of(trials[[5, 0, 4]]), whole[[5, 0, 4]])
+    moved = replace(trials[:1], T_world_hand=trials.T_world_hand[:1] + 1e-3)
+    with pytest.raises(TypeError):  # another hand: another moment
+        known.of(moved)
+
+
+def test_grasps_of_the_oracle_are_picked_and_some_are_backed_out_of_the_table(judge):
+    trials = judge.benchmark.trials(N)
+    fan = oracle.Fan(trials, judge, 0)
+    found = fan._picked
+    rest, deepest = moments(judge.scene, trials), []
+    for k in each(range(int(found.count.max()))):
+        rows = np.flatnonzero(found.count > k)
+        T = torch.from_numpy(found.T_obj_ee[rows, k].astype(np.float32))
+        assert bool(picked(judge.scene, T, rest[rows], trials[rows]).picked.all())
+    drawn = [fan._candidates(turn) for turn in range(64)]
+    for i, k in each([(row, k) for row in range(2 * N) for k in range(found.count[row])]):
+        T = found.T_obj_ee[i, k]
+        own = [d[i] for d in drawn if np.array_equal(d[i][:3, :3], T[:3, :3])]
+        back = [float((d[:3, 3] - T[:3, 3]) @ T[:3, 2]) for d in own]
+        assert own and -1e-9 <= min(back, key=abs) <= MOST_BACK_M
+        deepest.append(min(back, key=abs))
+    assert 0 < sum(b > 1e-9 for b in deepest) < len(deepest) and BACKS > 1
+    assert set(found.count.tolist()) - {0}
+
+
+def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
+    trials = judge.benchmark.trials(1)
+    below = np.tile(np.eye(4), (2, 1, 1))
+    below[:, 2, 3] = 5.0  # out of reach
+    found = picked_grasps(judge.scene, trials, lambda turn: below)
+    assert found.count.tolist() == [0, 0]
+    assert np.array_equal(found.chosen(np.array([1]), np.array([0.5]), below[:1]), below[:1])
+
+
+def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards(folder):
+    whole, parts = (load_run(folder / name) for name in ("whole", "parts"))
+    assert whole.asks == ("pick",) and read_json(folder / "whole" / "run.json", most=1 << 24)["asks"] == ["pick"]
+    for method in each(whole.methods):
+        assert whole.digest(method) == parts.digest(method)
+        table = whole.trials(method)
+        assert {"passed_pick", "margin_pick_m", "margin_kind_pick", "pick_reason", "pick_pair", "pick_part"} <= set(
+            table.column_names
+        )
+        for row in table.to_pylist():
+            assert (row["pick_reason"] == "ok") == row["passed_pick"]
+            assert row["outcome"] != "pick" or not row["passed_pick"]
+    again = reevaluate(whole, whole.methods[0], 12, Judge(whole))
+    assert again.equal == 12 and not again.differences
+    given = benchmark_of_run(whole.header, BenchmarkChoice(), "x")
+    assert given.digest == load_benchmark("r2h-v3-draft").digest
+
+
+def test_a_sweep_goes_on_where_it_was(folder, capsys):
+    run = load_run(folder / "parts")
+    before = run.digest("oracle")
+    next((folder / "parts").rglob("*.parquet")).unlink()
+    assert len(load_run(folder / "parts").unfinished) == 1
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "6", "--sim", "none"]
+    assert sweep([*line, "--shard-trials", "5", "--out", str(folder / "parts")]) == 0
+    assert load_run(folder / "parts").digest("oracle") == before
+
+
+def test_tables_and_words_show_pick(folder):
+    run = load_run(folder / "whole")
+    table = table_of(run)
+    assert "F_pick" in render(table, "md") and "Stability, Pick, Plan" in render(table, "md").replace("\n  ", " ")
+    for row in table.rows:
+        if row.split != "Avg":
+            assert row.rates["f_pick"].count == row.counts["pick"]
+    assert any(row.counts["pick"] for row in table.rows)
+    for fmt in each(("csv", "json", "latex")):
+        assert "pick" in render(table, fmt)
+    assert "F_pick" in object_lines(run)
+    points = rethreshold(run, reach_radius_m=[0.05, 0.1])
+    assert "F_pick" in render_points(points, run.methods)
+    rows = [r for m in run.methods for r in run.trials(m).to_pylist() if r["outcome"] == "pick"]
+    for row in each(rows):
+        assert headline(row).startswith(f"pick fails: {PICKS[row['pick_reason']]}")
+    met = next(r for r in rows if r["pick_pair"] == CollidingPair.TABLE.name.lower())
+    assert "robot and table" in headline(met)
+    assert set(PICKS) == {r.name.lower() for r in PickReason} - {"ok", "not_evaluated"}
