@@ -127,7 +127,7 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
     )
     report(tree)
     tree.write_docs()
-    assert "`passed_centred` | bool" in (tree.folder / "docs" / "run_folder.md").read_text()
+    assert "`passed_centred`, `passed_pick` | bool" in (tree.folder / "docs" / "run_folder.md").read_text()
     assert tree.run(READ + "\nsys.exit()") == shipped
     tree.run(READ + USE_CENTRED)
     tree.passes(*OF_A_CRITERION, *OF_A_COLUMN)
@@ -192,7 +192,7 @@ from r2h_batch.training import reward
 from r2h_batch import load_benchmark
 from r2h_batch.types import Outcome
 
-assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == 8
+assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == len(verdicts.EVERY) + 2
 OPEN = {"cup", "bowl", "wineglass"}
 said("sweep --benchmark r2h-v1 --method oracle random --trials 36 --sim none --save-paths --out run")
 said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion

@@ -17,6 +17,7 @@ from r2h_batch.report.compare.text import render as render_comparison
 from r2h_batch.report.statistics.paired import compare, pair_up
 from r2h_batch.report.table import object_lines, render, table_of
 from r2h_batch.report.text import short_names, tex
+from r2h_batch.types import Outcome
 
 ODD = (
     r"\input{x}", r"a\1b\g<0>", "<script>x</script>", "a\"b' on=x", "$x^2_{y", "a|b\\|c\\", "=1+1", "&lt;#010203",
@@ -98,7 +99,8 @@ def test_csv_and_json_give_the_names_back_and_no_cell_is_a_formula(run):
 def test_the_page_and_its_charts_say_the_names_and_gain_no_tag(run, tmp_path):
     picture = {"src": "data:,", "trial": "1", "href": "x"}
     gallery = {n: [{**picture, "alt": f"1 of {n}", "caption": n, "command": n}] for n in ODD}
-    usual = page.page(write_run(tmp_path / "run", {"a": np.arange(8), "b": np.arange(8)}, 4, 4), {"a": gallery[ODD[0]]})
+    outcomes = np.array([*range(6), Outcome.INVALID_INPUT, Outcome.INVALID_SIM])
+    usual = page.page(write_run(tmp_path / "run", {"a": outcomes, "b": outcomes}, 4, 4), {"a": gallery[ODD[0]]})
     text = page.page(run, gallery)
     found, allowed = Text(text), Text(usual)
     assert set(found.tags) <= set(allowed.tags)

@@ -115,8 +115,9 @@ class Benchmark:
             raise ValueError(
                 "seed draws other trials, and these are listed; leave one of the two out"
             )
+        instance_of(tuple, f"() or {ASKED_NAMES}")("asks", self.asks)
         if self.asks != ASKED_NAMES[: len(self.asks)]:
-            raise ValueError(f"asks is {self.asks}; allowed are () and {ASKED_NAMES}")
+            raise ValueError(f"asks is {self.asks!r:.60}; it must be () or {ASKED_NAMES}")
         if self.people is not None and (self.listed is not None or not self.rule.bodies):
             raise ValueError(
                 f"people is {self.people.name}, trials of {self.protocol} have no body; {how}"
