@@ -141,7 +141,7 @@ def warm() -> None:
         main(["benchmark", "check", str(path)])
 
 
-def with_section(data: Mapping[str, Any]) -> str:
+def markdown(data: Mapping[str, Any]) -> str:
     """docs/results/attacks.md with this section in the place of its own."""
     before = PAGE.read_text().partition("## Attacks of a stranger")[0].rstrip()
     return f"{before}\n\n{section(data)}"
@@ -247,4 +247,4 @@ if __name__ == "__main__":
     if "--only" in sys.argv:
         shared(parser.parse_args().only, True)
     else:
-        page_from(parser, STORED, PAGE, measure, with_section)
+        page_from(parser, STORED, PAGE, measure, markdown)
