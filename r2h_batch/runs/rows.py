@@ -7,15 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.runs.columns import (
-    BOOL,
-    DETAILS,
-    ENDS,
-    TRIALS,
-    Column,
-    later,
-    schema_of_kind,
-)
+from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
 from r2h_batch.verdicts import (
     EVERY,
     PERSON,
