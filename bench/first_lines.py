@@ -30,7 +30,7 @@ STORED = ROOT / "bench" / "results" / "first_lines.json"
 PAGE = ROOT / "docs" / "results" / "first_lines.md"
 LONG_S = 5.0
 """Work that takes longer has a line by then [choice]: what a person waits for without a sign."""
-LIMIT_S = 300.0
+LIMIT_S = 120.0
 """A command is ended after so long [choice]."""
 ROUNDS = ("cold", "warm")
 COMMANDS = {
