@@ -119,7 +119,7 @@ def first_picked(
     order: Int64[Tensor, "b k"],
     usable: Int64[Tensor, " b"],
 ) -> tuple[Int64[Tensor, " b"], Float32[Tensor, "b 4 4"], Bool[Tensor, " b"]]:
-    """Of each trial's grasps the first, in a given order, that the arm can pick: what a planner with a rule would take.
+    """The first grasp of each trial, in a given order, that the arm can pick: what a planner with a rule would take.
 
     Args:
         scene: robot, objects, hands and table.

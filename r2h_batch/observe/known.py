@@ -54,7 +54,7 @@ class KnownMoments:
 
 
 def _keys(trials: Trials) -> list[bytes]:
-    """Of each trial all that decides its moment."""
+    """All that decides the moment of each trial."""
     decide = [trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand]
     decide += [] if trials.receiver is None else [trials.receiver]
     rows = ([row.tobytes() for row in x.cpu().numpy()] for x in decide)
