@@ -9,6 +9,7 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.base.errors import UsageError, nearest
+from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rig import Rig, load_rig
 from r2h_batch.observe.seeing import Level, Region, look
@@ -33,7 +34,7 @@ class Sees:
         noise: factor on the errors of the sensor, of the hand's estimate and of the object's.
         labels: errors of masks.
         model: None: objects are not known; else the level of their poses' error.
-        seed: of moments and errors.
+        seed: of errors, and of moments where the benchmark has none of its own.
         region: whether the receiver's region is told.
     """
 
@@ -117,7 +118,11 @@ class Sees:
             scene: what is seen.
             trials: N trials.
         """
-        T_world_obj = moments(scene, trials, seed=self.seed)
+        # where a benchmark asks for Pick, its own moment is what is seen
+        asks = "pick" in scene.benchmark.asks
+        T_world_obj = (
+            known_moments(scene).of(trials) if asks else moments(scene, trials, seed=self.seed)
+        )
         seen = look(
             scene, trials, self.rig, T_world_obj,
             seed=self.seed, noise=self.noise, labels=self.labels, model=self.model, region=self.region,

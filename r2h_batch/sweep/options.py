@@ -661,7 +661,10 @@ def _without_config(
     return flags, path, switched, errors
 
 
-GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")
+GIVEN = (
+    *("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions"),
+    "T_world_obj",
+)
 """Arguments of a method that the sweep passes; its other keyword arguments are its options:
 `--method contact,gate=ik`."""
 
