@@ -55,7 +55,7 @@ def test_a_command_that_says_nothing_says_that_it_works_until_it_speaks(monkeypa
 
     assert exit_code_of("figures", lambda: waits(2)) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 2 and {*lines} == {"figures: 0 s so far"}
+    assert len(lines) >= 2 and {*lines} == {"figures: working, 0 s"}
 
     def speaks():
         code = waits(1)
@@ -65,7 +65,7 @@ def test_a_command_that_says_nothing_says_that_it_works_until_it_speaks(monkeypa
 
     assert exit_code_of("figures", speaks) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 2 and lines[-1] == "two pictures" and {*lines[:-1]} == {"figures: 0 s so far"}
+    assert len(lines) >= 2 and lines[-1] == "two pictures" and {*lines[:-1]} == {"figures: working, 0 s"}
     assert exit_code_of("figures", lambda: 0) == 0  # short: nothing, and no thread is left
     assert capsys.readouterr().err == "" and not [t for t in threading.enumerate() if "not silent" in t.name]
     with telling(quiet=True):

@@ -101,7 +101,7 @@ def not_silent(name: str) -> Iterator[None]:
     def speak() -> None:
         wait, own = SILENT_S, 0
         while not ended.wait(wait) and lines_said() == before + own and not _bars:
-            LOG.info(f"{name}: {time.perf_counter() - start:.0f} s so far")
+            LOG.info(f"{name}: working, {time.perf_counter() - start:.0f} s")
             wait, own = EVERY_S, lines_said() - before
 
     speaker = threading.Thread(target=speak, name=f"{name} is not silent", daemon=True)
