@@ -6,7 +6,7 @@ Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers th
 import re
 from collections.abc import Callable
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from r2h_batch.plugins import PluginError, Registry
 
@@ -122,7 +122,7 @@ ASKED = (
 """Criteria that a benchmark asks for (`Benchmark.asks`) beside `CRITERIA`: others judge by none of them. A benchmark asks for
 the first ones."""
 
-UNTIL = ("present", "received", "taken")
+UNTIL: tuple[Literal["present", "received", "taken"], ...] = ("present", "received", "taken")
 """Where a benchmark that asks for `ASKED` may end: with the arm at rest, the first of them, and so on."""
 
 EVERY = (*REGISTRY, *ASKED)

@@ -26,7 +26,7 @@ from r2h_batch.verdicts import TRANSFER_ENDS, UNITS, ReceiveReason
 CASE = Case("load-share", "take", 0)
 """The transfer that Taken is about: the usual policy and person of `results transfer`."""
 SEED = 0
-"""Of the sensor's noise."""
+"""Seed of the sensor's noise."""
 _HAS_IT = (Outcome.TAKEN, Outcome.BADLY_HELD)
 _one_at_a_time = Lock()
 
@@ -94,7 +94,7 @@ def _taken(scores: GivenScores, rows: Int64[Tensor, " n"], made: Transfers) -> G
 
 
 def _spare_m(made: Transfers) -> Float64[NDArray[np.float64], " n"]:
-    """What slip and turn in the hand lack to their limits, the less of both."""
+    """How much slip and turn in the hand lack to their limits, the less of both."""
     turn = UNITS["deg"].worth_m * (HELD_DEG - np.asarray(made.turn_deg))
     return np.minimum(HELD_M - np.asarray(made.slip_m), turn)
 
