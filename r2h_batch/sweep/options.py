@@ -212,7 +212,7 @@ class Flags:
         str,
         Flag(
             "show methods what depth cameras see, and nothing else: cell-v1 or a rig's TOML file, with options "
-            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,seed=1; a method of yours is then predict(seen)",
+            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,region=told,seed=1; your method is then predict(seen)",
             "methods",
         ),
     ] = ""
