@@ -2141,8 +2141,8 @@ MUTATIONS = (
     Mutation(
         "cameras: half a pixel",
         "kernels/observe/rays.py",
-        "corner_in[i, c][0]) + 0.5 * float(stride)",
-        "corner_in[i, c][0])",
+        "corner[0]) + 0.5 * float(stride)",
+        "corner[0])",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -2169,7 +2169,7 @@ MUTATIONS = (
     Mutation(
         "cameras: the upper arm is called the forearm",
         "kernels/observe/rays.py",
-        "what = FOREARM + part",
+        "what = FOREARM + k",
         "what = FOREARM",
         (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
     ),
@@ -2494,6 +2494,20 @@ MUTATIONS = (
         "views[c] = replace(views[c], T_world_camera=T)",
         "pass",
         (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
+    ),
+    Mutation(
+        "rays: the last column of cells that a face may be seen in is left out",
+        "kernels/observe/rays.py",
+        "for u in range(u0 / CELL, u1 / CELL + 1):",
+        "for u in range(u0 / CELL, u1 / CELL):",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "rays: a forearm ends where its last piece does",
+        "r2h_batch/observe/rays.py",
+        "size = 0.5 * se3.dot(along, along).sqrt() + a[:, 3]",
+        "size = 0.5 * a[:, 3]",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
         "rays: tiles of a window are those in which all of the robot is",
