@@ -73,10 +73,10 @@ SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at
 `robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees, `plain search` for a pair that
 succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
 
-No method that sees knows the receiver's region (S1), the searches included{unless}: images show no parts, and the benchmark tells nothing
-else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known either. Nor
-do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge
-all of the person.
+No method that sees knows the receiver's region (S1), the searches included{unless}: images show no parts, and the benchmark tells
+nothing else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known
+either. Nor do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and
+Safe judge all of the person.
 
 {told}## Causes
 
