@@ -329,7 +329,7 @@ TILES = 16
 CELL, FACES = 2, 64
 """Rays of a cell each way, and faces that a thread looks at, as in the kernel."""
 PIECES = 6
-"""Of an arm's segment, each with a ball of its own."""
+"""Pieces of an arm's segment, each with a ball of its own."""
 CELL_M, SLACK_M, SLACK_PX = 0.05, 1e-3, 2.0
 """Side of the pieces of the robot that rectangles are made of; what bounds are too large by, for rounding."""
 
