@@ -150,9 +150,9 @@ def _shown(words: str, trials: int) -> dict[str, Any]:
                 if line.split != "Avg":
                     sr, new = line.rates["sr"], line.sr_new_categories
                     assert sr is not None and new is not None
-                    own = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
+                    split = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
                     found[line.split] = {
-                        "won": "".join(str(int(o == "success")) for o in own),
+                        "won": "".join(str(int(o == "success")) for o in split),
                         "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
                         "categories": [new.low / 100, new.high / 100],
                     }  # fmt: skip
