@@ -2141,8 +2141,8 @@ MUTATIONS = (
     Mutation(
         "cameras: half a pixel",
         "kernels/observe/rays.py",
-        "corner_in[i, c][0]) + 0.5 * float(stride)",
-        "corner_in[i, c][0])",
+        "corner[0]) + 0.5 * float(stride)",
+        "corner[0])",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -2169,7 +2169,7 @@ MUTATIONS = (
     Mutation(
         "cameras: the upper arm is called the forearm",
         "kernels/observe/rays.py",
-        "what = FOREARM + part",
+        "what = FOREARM + k",
         "what = FOREARM",
         (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
     ),
@@ -2496,6 +2496,20 @@ MUTATIONS = (
         (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
     ),
     Mutation(
+        "rays: the last column of cells that a face may be seen in is left out",
+        "kernels/observe/rays.py",
+        "for u in range(u0 / CELL, u1 / CELL + 1):",
+        "for u in range(u0 / CELL, u1 / CELL):",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "rays: a forearm ends where its last piece does",
+        "r2h_batch/observe/rays.py",
+        "size = 0.5 * se3.dot(along, along).sqrt() + a[:, 3]",
+        "size = 0.5 * a[:, 3]",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
         "rays: tiles of a window are those in which all of the robot is",
         "r2h_batch/observe/rays.py",
         "tiles = (met[1][..., :, None] & met[0][..., None, :]).any(2).flatten(2)",
@@ -2610,8 +2624,8 @@ MUTATIONS = (
     Mutation(
         "draft r2h-v3: moments of other hands are taken for this one's",
         "r2h_batch/observe/known.py",
-        "trials.hand_index, trials.T_world_hand]\n        decide +=",
-        "trials.hand_index]\n        decide +=",
+        "trials.hand_index, trials.T_world_hand]\n    decide +=",
+        "trials.hand_index]\n    decide +=",
         (f"{T_FROM_TABLE}::test_moments_are_drawn_once_and_are_those_of_any_draw",),
     ),
     Mutation(
