@@ -2624,8 +2624,8 @@ MUTATIONS = (
     Mutation(
         "draft r2h-v3: moments of other hands are taken for this one's",
         "r2h_batch/observe/known.py",
-        "trials.hand_index, trials.T_world_hand]\n        decide +=",
-        "trials.hand_index]\n        decide +=",
+        "trials.hand_index, trials.T_world_hand]\n    decide +=",
+        "trials.hand_index]\n    decide +=",
         (f"{T_FROM_TABLE}::test_moments_are_drawn_once_and_are_those_of_any_draw",),
     ),
     Mutation(
