@@ -11,7 +11,7 @@ from r2h_batch.runs.explain import LEAST, PAIRS, headline
 from r2h_batch.verdicts import CRITERIA, EVERY, UNITS, Unit
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.postures import Postures
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 MEANING = {
     "stability": "room left between the pads and at the ends of their stroke",

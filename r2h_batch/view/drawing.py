@@ -19,7 +19,7 @@ from r2h_batch.runs.explain import LEAST, body_name
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
 from r2h_batch.view.postures import Nearest
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]

@@ -17,7 +17,7 @@ from r2h_batch.runs.rows import TrialNames
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CollidingPair, PickReason
 from r2h_batch.view.postures import Nearest, Postures, postures_at
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 

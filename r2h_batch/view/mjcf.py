@@ -61,7 +61,7 @@ from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
 from r2h_batch.verdicts import EVERY, SEXES
 from r2h_batch.view.skin import CLOTHED, chair_of, drawn_hand, skin_of
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 

@@ -22,7 +22,8 @@ from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
 from r2h_batch.view.captions import as_html, title
 from r2h_batch.view.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of
-from r2h_batch.view.stored import StoredTrial, difference, judged_again
+from r2h_batch.view.stored import difference, judged_again
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ from the stored one (another machine, another version).
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -29,12 +29,14 @@ from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import Run, load_run
-from r2h_batch.scene.robot import Robot, load_robot
+from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, UNITS
-from r2h_batch.view.postures import Postures, postures_at
+from r2h_batch.view.legs import with_legs
+from r2h_batch.view.postures import postures_at
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 
@@ -47,61 +49,6 @@ POSES = ("T_obj_ee", "T_world_ee")
 
 
 Section = TypeVar("Section")
-
-
-@dataclass(frozen=True)
-class StoredTrial:
-    """One trial of one method as it was judged: what a run folder says, and the trial itself made
-    from its protocol. Poses `T_a_b` are 4x4 in metres."""
-
-    header: dict[str, Any]  # as in run.json: configuration, protocol, motion
-    method: str
-    row: dict[str, Any]  # of trials and details
-    T_obj_ee: Array  # as predicted
-    T_obj_ee_attached: Array  # after closing moved the object between the pads
-    T_world_ee: Array
-    T_world_hand: Array
-    q: Array  # (W, joints) rad, waypoints; home alone where no path was found
-    time_s: Array  # (W,)
-    executed_q: Array | None  # (S, joints) rad every `motion.sample_s` s; None: not simulated
-    object_model: Any
-    hand_set: Any = None  # None: the built-in one
-    robot: Robot = field(default_factory=load_robot)
-    workplace: Workplace = field(default_factory=Workplace)
-    receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
-    asked: Postures | None = None  # what planning met at the target, where there is no path
-    planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
-    note: str = ""  # where what was computed again is not what is stored
-    resting: Array | None = None  # T_world_obj of an object that nobody holds yet; None: it is held
-    before: "tuple[StoredTrial, ...]" = ()  # legs before the motion: how the object was picked
-    goes_on: bool = False  # it is such a leg
-
-    @property
-    def target_q(self) -> Array:
-        """The posture (joints,) at the target, or the one that comes nearest to it."""
-        return self.q[-1] if self.asked is None else self.asked.q
-
-    @property
-    def given(self) -> bool:
-        """Whether the motion came from a file: joints move at a constant rate between samples."""
-        return self.moves and self.row["t_plan_s"] is None
-
-    @property
-    def start(self) -> Array:
-        """Where the trial's motion begins, rad: at home, or where the arm has lifted the object from the table."""
-        carried = self.moves and "passed_pick" in self.row
-        return self.q[0] if carried else np.array(self.workplace.home_q)
-
-    @property
-    def unreachable(self) -> bool:
-        """Whether no posture reaches the target."""
-        asked = self.row["pick_reason" if self.row["outcome"] == "pick" else "plan_reason"]
-        return asked in ("ik_unreachable", "ik_not_found", "out_of_reach")
-
-    @property
-    def moves(self) -> bool:
-        """Whether there is a path."""
-        return len(self.q) > 1
 
 
 class Reader:
@@ -171,8 +118,8 @@ class Reader:
         if answer is not None and path and "details" in stored:
             own = self.benchmark
             place = (own.objects, own.hand_set, own.robot, own.workplace)
-            found = _stored(self.run.header, name, row, path[0], trial, answer, *place)
-            return self._whole(found, trial, answer)
+            moved = _stored(self.run.header, name, row, path[0], trial, answer, *place)
+            return self._whole(moved, trial, answer)
         try:
             header, evaluator = self.run.header, self.evaluator
             source = self.run.entry(name).source
@@ -182,15 +129,13 @@ class Reader:
                 f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
             )
             raise RunError(f"{self.where}: the poses of {name!r} {words}") from error
-        found = judged_again(evaluator, trial, answer, name, row=row, header=header)
-        return self._whole(found, trial, answer)
+        again = judged_again(evaluator, trial, answer, name, row=row, header=header)
+        return self._whole(again, trial, answer)
 
     def _whole(self, stored: StoredTrial, trial: Trials, answer: Predictions) -> StoredTrial:
         """The trial with the legs before its motion, where it begins on the table."""
         if "passed_pick" not in stored.row:
             return stored
-        from r2h_batch.view.legs import with_legs
-
         return with_legs(stored, self.evaluator, trial, answer)
 
     @cached_property

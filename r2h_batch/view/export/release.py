@@ -23,7 +23,7 @@ from r2h_batch.data.release import PADS_M, T_world_release, along_z, palm_in_han
 from r2h_batch.verdicts import EVERY, PAPER, SIDES, SPLITS
 from r2h_batch.view.export.region_boxes import region_as_boxes
 from r2h_batch.view.mjcf import posture_at
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 

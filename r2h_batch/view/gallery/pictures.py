@@ -22,7 +22,8 @@ from r2h_batch.view.captions import verdict_of
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.page import write_page
 from r2h_batch.view.pictures import Image, image_at_end, images, painter
-from r2h_batch.view.stored import Reader, StoredTrial
+from r2h_batch.view.stored import Reader
+from r2h_batch.view.stored_trial import StoredTrial
 
 SHOWN = OUTCOME_NAMES[:6]
 """Outcomes of which there is something to see: success and the five failures."""

@@ -15,7 +15,7 @@ from r2h_batch.view.lab.frames import T_base_world, pendant, turn_vector
 from r2h_batch.view.lab.paths import csv_of, path_of, ros2_of, urscript_of
 from r2h_batch.view.lab.sheets import grasp_sheet, hand_sheet, object_sheet, write_sheet
 from r2h_batch.view.mjcf import describe
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 LEGS = ("pick", "lift")
 """Files of the legs before a motion."""

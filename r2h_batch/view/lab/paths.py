@@ -17,7 +17,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.scene.robot import Robot, forward_kinematics
 from r2h_batch.view.lab.frames import turn_vector
 from r2h_batch.view.mjcf import posture_at, trajectory
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ from r2h_batch.base.io.write import atomic_path
 from r2h_batch.report.figures import needs_matplotlib, style
 from r2h_batch.scene.hand import load_hand_set, palm_frame
 from r2h_batch.scene.robot import gripper_primitives_at
-from r2h_batch.view.stored import StoredTrial
+from r2h_batch.view.stored_trial import StoredTrial
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
