@@ -8,6 +8,9 @@ from bench/results/learn.json.
 
 import argparse
 import json
+import os
+import shutil
+import subprocess
 import sys
 import time
 from collections import Counter, defaultdict
@@ -60,6 +63,14 @@ OWN_TRIALS, REGION_TRIALS = 400, 500
 """Trials with these instances as they are, and with regions at random."""
 OTHER_ID = 1 << 50
 """The first id of trials that no benchmark and no training of this bench has."""
+COSTLY = "families:* x 2 seed 71"
+"""Instances whose cost is measured."""
+TRAININGS = {
+    "one process": ("--workers", "0"),
+    "two processes": ("--workers", "1"),
+    "two processes, --renew 5": ("--workers", "1", "--renew", "5"),
+}
+SAME_WEIGHTS = ("one process", "two processes")
 VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
 VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
 """Steps on what cameras saw; trials of a split, and what is seen in them."""
@@ -282,6 +293,59 @@ def policy() -> dict[str, Any]:
     return main([])
 
 
+def instance_cost(place: Path) -> dict[str, float]:
+    """CPU seconds of an instance with its grasp candidates: drawn anew, and read from disk."""
+    from r2h_batch import load_benchmark
+    from r2h_batch.methods.candidates import candidates_of
+    from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
+
+    robot = load_benchmark("r2h-v2").robot
+    before = os.environ.get("R2H_BATCH_CACHE")
+    found = {}
+    try:
+        os.environ["R2H_BATCH_CACHE"] = str(place / "cache of instances")
+        shutil.rmtree(place / "cache of instances", ignore_errors=True)
+        candidates_of(
+            (planned_objects("families:cup x 1 seed 70")[0].drawn(),), "filtered", robot
+        )  # kernels are compiled
+        for name in ("drawn anew", "from disk"):
+            drawn_instance.cache_clear()
+            planned = planned_objects(COSTLY)
+            start = time.process_time()
+            objects = [one.drawn() for one in planned]
+            mesh = time.process_time()
+            for one in objects:
+                candidates_of((one,), "filtered", robot)
+            end = time.process_time()
+            found[name] = (end - start) / len(planned)
+            found[f"{name}, candidates"] = (end - mesh) / len(planned)
+    finally:
+        os.environ.pop("R2H_BATCH_CACHE")
+        if before is not None:
+            os.environ["R2H_BATCH_CACHE"] = before
+    return found
+
+
+def from_nothing(place: Path) -> dict[str, dict[str, float]]:
+    """Wall and CPU seconds of trainings that begin with an empty cache, by who draws the instances."""
+    found = {}
+    for name, words in TRAININGS.items():
+        out, cache = place / "from nothing" / name, place / "from nothing" / f"{name}, cache"
+        for folder in (out, cache):
+            shutil.rmtree(folder, ignore_errors=True)
+        before, start = os.times(), time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "r2h_batch", "train", "rank", "--out", str(out), *words],
+            check=True, env={**os.environ, "R2H_BATCH_CACHE": str(cache)}, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        after = os.times()
+        cpu = after.children_user + after.children_system - before.children_user - before.children_system
+        found[name] = {"wall s": time.perf_counter() - start, "cpu s": cpu}
+        print(name, found[name], flush=True)
+    weights = [(place / "from nothing" / name / "rank.safetensors").read_bytes() for name in SAME_WEIGHTS]
+    return found | {"same": weights[0] == weights[1]}
+
+
 def memory() -> dict[str, Any]:
     """Resident MiB while a stream gives `STREAMED` pairs, after each tenth."""
     from r2h_batch import load_benchmark
@@ -492,6 +556,13 @@ class Bench:
         """Whether receivers can take, and do take, what it hands over."""
         return {"received": handed_over(ROWS, self.options.received)}
 
+    def drawing(self) -> dict[str, Any]:
+        """What instances cost, and trainings from nothing."""
+        place = self.options.runs.absolute()
+        return {
+            "drawing": {"instance": instance_cost(place), "trainings": from_nothing(place), "load": os.getloadavg()[0]}
+        }
+
     def policy(self) -> dict[str, Any]:
         """The policy that the example learns by PPO, beside the servo that it begins as."""
         return {"policy": policy()}
@@ -507,7 +578,7 @@ class Bench:
 
 PARTS = (
     *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "costs"),
-    *("turned", "received", "generator", "policy", "memory"),
+    *("turned", "received", "generator", "policy", "memory", "drawing"),
 )
 
 
@@ -541,7 +612,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
   too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{recipes}{views}{generator}{policy}## What it costs
+{received}{regions}{recipes}{views}{generator}{policy}{drawing}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -620,6 +691,16 @@ then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CP
 {table}
 
 {words}
+
+"""
+DRAWING = """## From an empty cache
+
+{count} instances are drawn before or while `train rank` learns from them. An instance with its grasp candidates takes
+{anew:.2f} CPU s ({candidates:.2f} of them the candidates), and {kept:.3f} from disk. With `--renew 5` training begins with one
+instance of each category, and the others are drawn meanwhile. The first two trainings give {same} weights.
+Load when they had ended: {load:.1f} on {cores} cores, so wall times are those of a busy machine.
+
+{table}
 
 """
 GENERATOR = """## A generator beside chance
@@ -753,6 +834,20 @@ def views_words(own: Mapping[str, Any]) -> str:
     )  # fmt: skip
 
 
+def drawing_words(own: Mapping[str, Any], cores: int) -> str:
+    """The section on trainings from an empty cache."""
+    from r2h_batch.learning.rank import Recipe
+    from r2h_batch.protocols.family_objects import planned_objects
+
+    cost, runs = own["instance"], {k: v for k, v in own["trainings"].items() if k != "same"}
+    return DRAWING.format(
+        count=len(planned_objects(f"families:{Recipe().families}")), anew=cost["drawn anew"], kept=cost["from disk"],
+        candidates=cost["drawn anew, candidates"], same="the same" if own["trainings"]["same"] else "OTHER",
+        load=own["load"], cores=cores,
+        table=markdown_table(["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in runs.items()]),
+    )  # fmt: skip
+
+
 def generator_words(own: Mapping[str, Any]) -> str:
     """The section on the example's generator."""
     ways = []
@@ -807,6 +902,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
         views=views_words(data["views"]) if "views" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
+        drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
         policy=policy_words(data["policy"]) if "policy" in data else "",
         memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",
