@@ -241,7 +241,7 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     return {"of": trials, "rates": rates, "paired": paired, "undecided": undecided}
 
 
-def over_categories(hit: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: Sequence[str]) -> list[float]:
+def over_categories(hit: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str) -> list[float]:
     """Percent of the trials of some splits, mean of the splits, and the ends of its 95 % interval for all categories."""
     from r2h_batch.report.statistics.aggregate import clustered_rate, mean_rate
 
@@ -326,9 +326,9 @@ def instance_cost(place: Path) -> dict[str, float]:
     return found
 
 
-def from_nothing(place: Path) -> dict[str, dict[str, float]]:
+def from_nothing(place: Path) -> dict[str, Any]:
     """Wall and CPU seconds of trainings that begin with an empty cache, by who draws the instances."""
-    found = {}
+    found: dict[str, Any] = {}
     for name, words in TRAININGS.items():
         out, cache = place / "from nothing" / name, place / "from nothing" / f"{name}, cache"
         for folder in (out, cache):
@@ -673,12 +673,12 @@ RECEIVED = """## Can the person take it?
 
 Percent of the first {of} shipped rows of each split (motion simulated) whose object the receiver could take
 ([reception](reception.md)) and took ([transfer](transfer.md), policy `load-share`, one person a trial), each also with success of
-the trial. Brackets: the 95 % interval for all categories. The last lines are {first} less {second} on the same trials, points.
-In front of the difference's interval stand the trials that only {first}, and only {second}, has.
+the trial. Brackets: the 95 % interval for all categories. The last three lines are {first} less {second} on the same trials,
+in points. Their parentheses count the trials that only {first} has, and those that only {second} has.
 
 {table}
 
-{undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
+{answer} {undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
 
 """
 POLICY_TIED = """PPO does not beat the servo: the interval of the difference in success holds 0."""
@@ -765,7 +765,11 @@ def received_words(own: Mapping[str, Any]) -> str:
         told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
         lines.append(["difference", splits.get(s, s), *told])
     undecided = " and ".join(f"{n} ({name})" for name, n in own["undecided"].items())
+    taken = own["paired"]["S0+S1"]["taken"]
+    than = "more often than" if taken["low"] > 0 else "less often than" if taken["high"] < 0 else "about as often as"
+    answer = f"People take what {first} hands over {than} what {second} does."
     return RECEIVED.format(
+        answer=answer,
         of=own["of"],
         first=first,
         second=second,

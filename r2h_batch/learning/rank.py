@@ -118,7 +118,7 @@ class Recipe:
     @property
     def stages(self) -> "tuple[Stage, ...]":
         """Labels and steps in turn: items at random, all at once or as their instances come; then rounds of mined ones."""
-        found = []
+        found: list[Stage] = []
         for first in range(0, self.items, self.renew or self.items):
             last = min(first + (self.renew or self.items), self.items)
             name = f"0-{len(found)}" if self.renew else "0"
