@@ -63,7 +63,7 @@ pass.
 
 ## What is missing
 
-- Plan begins at home, not at the lifted pose. Received and Taken are not part of the outcome.
+- Received and Taken are not part of the outcome.
 - Trials without a way are not drawn again: the oracle fails there. There is no bound under seeing, and one track: the truth.
 - FC, Contact, Intent and the learned method would choose among grasps that are free on the table, as their papers do.
 """

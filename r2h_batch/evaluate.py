@@ -6,11 +6,11 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 |---|---|---|
 | inputs | `inputs`, `object_errors`, `execution_error` | poses and trials that fit; poses as a robot with errors reaches them |
 | grasp | `attach`, `grasp_physics` | the object in the gripper: invalid rows, Stability's margin, poses of all bodies |
+| pick | `pick` | whether the arm gets the object from the table, where the benchmark asks for it |
 | IK | `ik` | every branch of the arm that reaches the handover pose |
-| plan | `plan` | a path without collision to one of the branches |
+| plan | `plan` | a path without collision to one of the branches, from home or from where the object is lifted |
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
-| pick | `pick` | whether the arm gets the object from the table, where the benchmark asks for it |
 | verdict | `metrics`, `scores` | five criteria (or six) with margins, one outcome |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
@@ -43,7 +43,7 @@ from r2h_batch.judge.distance import (
     person_distance_at,
 )
 from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
-from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
+from r2h_batch.judge.ik import IkResult, home_posture, nearest_turns, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     Stages,
     check_benchmark,
@@ -265,18 +265,26 @@ class Evaluator(Prepared):
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
 
+        picked = self._picked(held, T_obj_ee, trials, paths=True)
         plan_start = time.perf_counter()
         ik, branches = self._branches(config, held)
         key = random_key(trials.trial_id)
+        goals, begins, start = ik.q, active, None
+        if picked is not None:  # carried from where the lift ends
+            begins = active & picked.picked
+            home = home_posture(str(active.device), config.workplace.home_q)
+            start = torch.where(begins[:, None], picked.lifted, home)
+            goals = nearest_turns(ik.q, start, scene.robot)
         planned = plan_paths(
             scene,
             held.planner_poses,
-            ik.q,
+            goals,
             branches,
-            active,
+            begins,
             key,
             config.plan,
             execute=config.execute,
+            start=start,
         )
         t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
         missed_m = failed_clearance(
@@ -301,7 +309,6 @@ class Evaluator(Prepared):
             clearance_m=certified,
         )
 
-        picked = self._picked(held, T_obj_ee, trials, paths=True)
         nearest = hand_distance(scene, held.body_poses, executed, active)
         body_m, body, _ = over_motion(
             scene, held.body_poses, executed, partial(self._person_distance, trials)

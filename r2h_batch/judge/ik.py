@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Bool, Float, Int, UInt8
+from jaxtyping import Bool, Float, Float32, Int, UInt8
 from torch import Tensor
 
 from r2h_batch.base.launch import init_warp, over_trials
@@ -264,6 +264,29 @@ def build_tables(robot: Robot, home: tuple[float, ...], device: str) -> None:
 def home_posture(device: str, home: tuple[float, ...]) -> Float[Tensor, "1 6"]:
     """Home's joint angles on a device."""
     return torch.from_numpy(np.array([home], np.float32)).to(device)
+
+
+def nearest_turns(
+    q: Float32[Tensor, "b 8 j"], start: Float32[Tensor, "b j"], robot: Robot
+) -> Float32[Tensor, "b 8 j"]:
+    """The same branches, each joint moved by whole turns to the angle nearest to `start` that the limits allow.
+
+    Args:
+        q: (B, 8, J) branches, rad.
+        start: (B, J) where a path begins, rad.
+        robot: the arm.
+    """
+    lower, upper = (
+        torch.from_numpy(np.array(x, np.float64)).to(q.device) for x in (robot.lower, robot.upper)
+    )
+    turn = 2 * np.pi
+    moved = q.double()
+    moved = moved - turn * ((moved - start.double()[:, None]) / turn + 0.5).floor()
+    moved = torch.where(moved > upper, moved - turn, moved)
+    moved = torch.where(moved < lower, moved + turn, moved)
+    nearest = moved.float()
+    within = (nearest.double() >= lower) & (nearest.double() <= upper)
+    return torch.where(within, nearest, q)
 
 
 @cache

@@ -157,11 +157,14 @@ def plan(e: Evidence) -> Criterion:
     Without a path: minus what the start, or the best branch, lacks to be free, or the target to be
     reached (`judge.goal.Goal.clearance_m`). -inf where a search found nothing, or where the arm did
     not come to rest at its goal: no length says by how much. A path that was found passes, also
-    where its clearance was only sampled.
+    where its clearance was only sampled. Where the object has to be picked first and is not, nothing is planned.
     """
+    judged = e.held.active
+    if e.picked is not None:
+        judged = judged & (e.reason != int(PlanReason.NOT_EVALUATED))
     return Criterion(
         e.clearance_m,
-        e.held.active,
+        judged,
         cap=CLEARANCE_CAP_M,
         passed=e.goal_reached,
         kind=e.reason,

@@ -75,6 +75,11 @@ class Picked:
     way_in: Float32[Tensor, "b k j"]
     way_up: Float32[Tensor, "b k j"]
 
+    @property
+    def lifted(self) -> Float32[Tensor, "b j"]:
+        """The posture at the end of the lift, rad, of the branch that passed; NaN without one. Carrying begins there."""
+        return self.way_up[:, 0]
+
 
 def picked(
     scene: Scene,

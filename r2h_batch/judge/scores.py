@@ -111,6 +111,7 @@ def motion_scores(
     from r2h_batch.judge.motion.time_law import time_at
 
     has_path, witnessed = planned.length > 0, nearest.body >= 0
+    begun = planned.reason != int(PlanReason.NOT_EVALUATED)
     restless = has_path & executed.valid & ~executed.settled
     last = (planned.length - 1).clamp(min=0).long()
     goal = planned.path[torch.arange(len(active), dtype=torch.int64, device=active.device), last]
@@ -134,7 +135,7 @@ def motion_scores(
         witness_part=torch.stack([torch.where(has_path, planned.body, -1), nearest.body], 1),
         witness_time_s=torch.where(witnessed, time_s, torch.nan),
         witness_point=torch.where(witnessed[:, None], nearest.point, torch.nan),
-        t_plan_s=torch.where(active, t_plan_s, torch.nan).float(),
+        t_plan_s=torch.where(begun, t_plan_s, torch.nan).float(),
         t_exec_s=executed.t_exec_s,
         q_goal=torch.where(has_path[:, None], goal, torch.nan),
         path=planned.path,

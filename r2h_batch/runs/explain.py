@@ -9,7 +9,7 @@ from typing import Any
 from r2h_batch.verdicts import EVERY, UNITS, Unit
 
 REASONS = {
-    "start_in_collision": "the arm collides at home",
+    "start_in_collision": "the arm collides where its path begins",
     "ik_unreachable": "the arm cannot reach the target",
     "ik_in_collision": "every posture at the target collides",
     "no_path_in_budget": "no path was found in time",

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from judge_twin import Again
 from rounds import each
 
 from r2h_batch import load_benchmark
@@ -12,6 +13,8 @@ from r2h_batch.base.io.read import read_json
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import metrics
+from r2h_batch.judge.frontier.form import planning_form
+from r2h_batch.judge.ik import nearest_turns
 from r2h_batch.judge.pick import picked
 from r2h_batch.judge.scores import verdict
 from r2h_batch.methods import oracle, random
@@ -24,11 +27,12 @@ from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import object_lines, render, table_of
 from r2h_batch.runs.explain import PICKS, headline
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
 from r2h_batch.sweep.results.rethreshold import render as render_points
 from r2h_batch.types import CollidingPair
-from r2h_batch.verdicts import CRITERIA, EVERY, IN_ORDER, Outcome, PickReason
+from r2h_batch.verdicts import CRITERIA, EVERY, IN_ORDER, Outcome, PickReason, PlanReason
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 N = 8
@@ -54,6 +58,15 @@ def asked(judge):
     return (*T, twice)
 
 
+def rows_of(run, method):
+    """Trial id -> its columns of all files."""
+    rows = {}
+    for table in (run.trials(method), run.details(method), run.poses(method), run.paths(method)):
+        for row in table.to_pylist():
+            rows.setdefault(row["trial_id"], {}).update(row)
+    return rows
+
+
 def benchmark_rows(judge, trials):
     return judge.benchmark.trials_with_ids(torch.cat([trials.trial_id, trials.trial_id]))
 
@@ -66,7 +79,18 @@ def scores(judge, asked):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("from_table")
-    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "6", "--sim", "none"]
+    line = [
+        "--benchmark",
+        "r2h-v3-draft",
+        "--method",
+        "random",
+        "oracle",
+        "--trials",
+        "6",
+        "--sim",
+        "none",
+        "--save-paths",
+    ]
     for name, shard in each((("whole", "0"), ("parts", "5"))):
         assert sweep([*line, "--shard-trials", shard, "--out", str(where / name)]) == 0
     return where
@@ -102,17 +126,85 @@ def test_pick_is_what_the_judge_of_grasps_says_of_the_moment(judge, asked, score
     assert {"passed_pick", "margin_pick_m"} <= set(scores.to_pandas())
 
 
-def test_all_else_is_as_without_pick(draft, judge, asked, scores):
+def test_all_else_but_the_carry_is_as_without_pick(draft, judge, asked, scores):
     T_obj_ee, T_world_ee, trials = asked
     other = Evaluator(replace(draft, asks=()), KINEMATIC)
     before = other.score(T_obj_ee, T_world_ee, other.benchmark.trials_with_ids(trials.trial_id))
-    n = len(CRITERIA)
-    for name in each(("passed", "evaluated", "margin_kind")):
-        assert torch.equal(getattr(scores, name)[:, :n], getattr(before, name))
-    assert torch.equal(scores.margin[:, :n].nan_to_num(-9), before.margin.nan_to_num(-9))
-    failed = scores.failed("pick")
-    assert failed.any() and torch.equal(scores.outcome[~failed], before.outcome[~failed])
-    assert torch.equal(scores.success, before.success & scores.passed[:, n])
+    same = [CRITERIA.index(name) for name in ("stability", "reach", "affordance")]
+    for name in each(("passed", "evaluated", "margin_kind", "margin")):
+        mine, theirs = (getattr(x, name)[:, same].float().nan_to_num(-9) for x in (scores, before))
+        assert torch.equal(mine, theirs), name
+    assert torch.equal(scores.success, (scores.passed | ~scores.evaluated).all(1)) and scores.success.any()
+    assert torch.equal(scores.opening_m, before.opening_m)
+
+
+def test_the_carry_begins_where_the_lift_of_the_accepted_branch_ends(judge, asked, scores):
+    T_obj_ee, _, trials = asked
+    rest = moments(judge.scene, trials)
+    alone = picked(judge.scene, T_obj_ee, rest, trials)
+    has = scores.path_len > 0
+    assert has.any() and not (has & ~alone.picked).any()
+    assert torch.equal(scores.path[has, 0], alone.lifted[has])
+    lifted = (rest.double() @ T_obj_ee.double()).numpy()
+    lifted[:, 2, 3] += 0.1
+    for i in each(torch.nonzero(has)[:, 0].tolist()):
+        at = ee_pose(judge.scene.robot, scores.path[i, 0].double().numpy())
+        assert np.abs(at - lifted[i]).max() < 2e-5
+        end = ee_pose(judge.scene.robot, scores.path[i, int(scores.path_len[i]) - 1].double().numpy())
+        assert np.abs(end - asked[1][i].double().numpy()).max() < 1e-4  # as the pose is read: orthonormalised
+
+
+def test_nothing_is_carried_that_was_not_picked(scores):
+    lost = ~scores.passed[:, scores.criteria.index("pick")]
+    assert lost.any() and not lost.all()
+    plan, safe = (scores.criteria.index(name) for name in ("plan", "safe"))
+    assert torch.equal(scores.evaluated[:, plan], ~lost) and not scores.evaluated[lost, safe].any()
+    assert (scores.plan_reason[lost] == int(PlanReason.NOT_EVALUATED)).all()
+    assert (scores.path_len[lost] == 0).all() and scores.t_plan_s[lost].isnan().all()
+    assert scores.margin[lost, plan].isnan().all() and scores.t_plan_s[~lost].isfinite().all()
+
+
+def test_goals_are_taken_at_the_turns_nearest_to_the_start(judge):
+    robot, rng = judge.scene.robot, np.random.default_rng(4)
+    lower, upper = (torch.tensor(np.array(x), dtype=torch.float64) for x in (robot.lower, robot.upper))
+    start = torch.from_numpy(rng.uniform(lower, upper, (64, 6)).astype(np.float32))
+    q = torch.from_numpy(rng.uniform(lower, upper, (64, 8, 6)).astype(np.float32))
+    found = nearest_turns(q, start, robot).double()
+    turns = (found - q.double()) / (2 * np.pi)
+    assert (turns - turns.round()).abs().max() < 1e-6 and turns.round().abs().max() >= 1
+    assert (found >= lower).all() and (found <= upper).all()
+    for k in each((-1, 1)):  # no other turn within the limits is nearer
+        other = found + 2 * np.pi * k
+        allowed = (other >= lower + 1e-6) & (other <= upper - 1e-6)
+        away, there = ((x - start.double()[:, None]).abs() for x in (found, other))
+        assert (away <= there + 1e-5)[allowed].all() and allowed.any()
+
+
+def test_both_forms_of_the_planner_carry_alike(judge, asked, scores):
+    rows = torch.nonzero(scores.path_len > 0)[:4, 0]
+    with planning_form("frontier"):
+        other = judge.score(asked[0][rows], asked[1][rows], asked[2][rows])
+    assert torch.equal(other.outcome, scores.outcome[rows]) and torch.equal(other.path[:, 0], scores.path[rows, 0])
+    assert torch.allclose(other.margin, scores.margin[rows], atol=2e-4, equal_nan=True)
+
+
+def test_other_code_judges_the_rows_with_their_carry_again(folder):
+    run = load_run(folder / "whole")
+    judge, carried = Judge(run), 0
+    for name in each(run.methods):
+        rows = rows_of(run, name)
+        trials = judge.trials(np.array(list(rows)))
+        rest = moments(judge.evaluator.scene, trials)
+        kept = [k for k, row in enumerate(rows.values()) if row.get("q")][:3] + [0]
+        for k, row in each([(k, list(rows.values())[k]) for k in kept]):
+            scene, config = judge.evaluator.scene, judge.evaluator.config
+            twin = Again(
+                scene, config, trials[k : k + 1], row, row["T_obj_ee"], row["T_world_ee"], T_world_rest=rest[k]
+            )
+            wrong = [f for f in twin.findings() if not f.holds]
+            assert not wrong, (name, row["trial_id"], wrong)
+            carried += len(twin.q) > 0
+    assert carried >= 3
 
 
 @pytest.mark.check
@@ -140,7 +232,7 @@ def test_rows_have_the_same_bits_alone_and_in_any_order(judge, asked, scores):
     order = torch.randperm(2 * N, generator=torch.Generator().manual_seed(3))
     again = judge.score(T_obj_ee[order], T_world_ee[order], trials[order])
     lone = [judge.score(T_obj_ee[i : i + 1], T_world_ee[i : i + 1], trials[i : i + 1]) for i in (0, N + 1)]
-    for name in each(("outcome", "margin", "pick", "margin_kind", "borderline")):
+    for name in each(("outcome", "margin", "pick", "margin_kind", "borderline", "path", "t_exec_s")):
         mine = getattr(scores, name)
         assert torch.equal(getattr(again, name).nan_to_num(-9), mine[order].nan_to_num(-9)), name
         for i, row in zip((0, N + 1), lone, strict=True):
@@ -238,7 +330,18 @@ def test_a_sweep_goes_on_where_it_was(folder, capsys):
     before = run.digest("oracle")
     next((folder / "parts").rglob("*.parquet")).unlink()
     assert len(load_run(folder / "parts").unfinished) == 1
-    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "6", "--sim", "none"]
+    line = [
+        "--benchmark",
+        "r2h-v3-draft",
+        "--method",
+        "random",
+        "oracle",
+        "--trials",
+        "6",
+        "--sim",
+        "none",
+        "--save-paths",
+    ]
     assert sweep([*line, "--shard-trials", "5", "--out", str(folder / "parts")]) == 0
     assert load_run(folder / "parts").digest("oracle") == before
 

@@ -34,6 +34,7 @@ STEP_RAD = 1 / 160
 GRAZE_M = 1e-5
 SCAN_M = 5e-4
 """Steps in which the pads are closed."""
+LIFT_M = 0.1
 END_M, END_RAD, TIME_S = 2e-5, 1e-4, 2e-3
 
 
@@ -305,12 +306,14 @@ class Again:
         row: columns of the run's files: trials, details and paths, in one.
         T_obj_ee, T_world_ee: the poses that the robot carries out.
         T_seen_hand: the hand that the planner saw; None: the true one.
+        T_world_rest: where the object rests before it is picked; None: the gripper holds it from home on.
     """
 
     def __init__(
         self, scene: Scene, config: EvalConfig, trials: Any, row: Mapping[str, Any], T_obj_ee: Any, T_world_ee: Any,
-        T_seen_hand: Any = None,
+        T_seen_hand: Any = None, T_world_rest: Any = None,
     ) -> None:  # fmt: skip
+        self.T_rest = None if T_world_rest is None else rigid(T_world_rest)
         self.scene, self.config, self.trials, self.row = scene, config, trials, row
         self.robot, self.fingers = scene.robot, Fingers(scene.robot)
         at = int(trials.object_index[0]), int(trials.hand_index[0])
@@ -356,7 +359,11 @@ class Again:
         if len(self.q):
             yield from self._motion()
         passed: dict[str, bool] = {}
-        for name in PAPER:
+        picks = self.T_rest is not None
+        for name in (PAPER[0], *(["pick"] if picks else []), *PAPER[1:]):
+            if name == "pick":  # pick_twin.py judges it
+                passed[name] = self.row["passed_pick"]
+                continue
             said = self.row[f"passed_{name}"]
             asked = self._asked(name)
             if asked != (said is not None):
@@ -381,6 +388,8 @@ class Again:
         """Affordance is asked where the object has a region's split, Safe where the arm moves."""
         if name == "affordance":
             return bool(self.row["split"] == "S1")
+        if name == "plan" and self.T_rest is not None:  # what is not picked is not carried
+            return bool(self.row["passed_pick"])
         return name != "safe" or len(self.q) > 0
 
     def _passes(self, name: str, clearance: float) -> bool:
@@ -401,8 +410,16 @@ class Again:
 
     def _motion(self) -> Iterator[Finding]:
         """Where the path begins and ends, whether joints keep their limits, and how long it takes."""
-        off = float(np.abs(self.q[0] - np.array(self.config.workplace.home_q)).max())
-        yield Finding("start beside home, rad", 0.0, off, "fact", wrong=off > 1e-5)
+        if self.T_rest is None:
+            off = float(np.abs(self.q[0] - np.array(self.config.workplace.home_q)).max())
+            yield Finding("start beside home, rad", 0.0, off, "fact", wrong=off > 1e-5)
+        else:
+            lifted = self.T_rest @ self.T_obj_ee
+            lifted[2, 3] += LIFT_M
+            T = np.linalg.inv(lifted) @ self.true.ee(self.q[0])
+            way, turn = float(np.linalg.norm(T[:3, 3])), float(np.abs(T[:3, :3] - np.eye(3)).max())
+            yield Finding("start beside the lifted grasp, m", 0.0, way, "fact", wrong=way > END_M)
+            yield Finding("start beside the lifted grasp, rad", 0.0, turn, "fact", wrong=turn > END_RAD)
         T = np.linalg.inv(self.T_world_ee) @ self.true.ee(self.q[-1])
         way, turn = float(np.linalg.norm(T[:3, 3])), float(np.abs(T[:3, :3] - np.eye(3)).max())
         yield Finding("end beside the handover pose, m", 0.0, way, "fact", wrong=way > END_M)
