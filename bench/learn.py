@@ -195,7 +195,7 @@ def step_profile(place: Path) -> dict[str, float]:
 
 
 def handed_over(folder: Path, trials: int) -> dict[str, Any]:
-    """What becomes of the stored rows' first trials of each split: received, taken, each also with success; of both methods, and
+    """Ends of the stored rows' first trials of each split: received, taken, each also with success; of both methods, and
     paired on the trial."""
     from r2h_batch.closed_loop.transfer.cases import Case, Simulator, processes
     from r2h_batch.closed_loop.transfer.handed import handed_of
@@ -557,7 +557,7 @@ class Bench:
         return {"received": handed_over(ROWS, self.options.received)}
 
     def drawing(self) -> dict[str, Any]:
-        """What instances cost, and trainings from nothing."""
+        """Costs of instances, and trainings from nothing."""
         place = self.options.runs.absolute()
         return {
             "drawing": {"instance": instance_cost(place), "trainings": from_nothing(place), "load": os.getloadavg()[0]}
@@ -678,7 +678,8 @@ in points. Their parentheses count the trials that only {first} has, and those t
 
 {table}
 
-{answer} {undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
+{answer}
+{undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
 
 """
 POLICY_TIED = """PPO does not beat the servo: the interval of the difference in success holds 0."""
@@ -686,7 +687,7 @@ POLICY = """## A policy beside its control
 
 `examples/learn_ppo.py` trains a network by PPO in closed loop ([how](../howto/reinforcement_learning.md)). It begins as the
 built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances, and both
-then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: 95 % over trials.
+then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
 
 {table}
 

@@ -36,7 +36,7 @@ FEW = 4
 
 
 class _Job(NamedTuple):
-    """What a process draws: (category, series, index, standing) of each instance, and for whose gripper."""
+    """Instances for a process to draw: (category, series, index, standing) of each instance, and for whose gripper."""
 
     instances: list[tuple[str, int, int, bool]]
     robot: Robot

@@ -41,7 +41,7 @@ class Source:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """What the instances are called, without those with other regions."""
+        """Names of the instances, without those with other regions."""
         if self.ahead is None:
             return tuple(o.name for o in self.own)
         return tuple(self.ahead.planned[k].name for group in self.groups for k in group)

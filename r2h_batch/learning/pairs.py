@@ -47,7 +47,7 @@ _PICK, _POSE = 0, 1  # purposes of the random counters
 
 @dataclass(frozen=True)
 class World:
-    """What the trials of an item are of.
+    """Benchmark and judge of an item's trials.
 
     Attributes:
         benchmark: with the item's instances.

@@ -42,7 +42,7 @@ class Planned:
 
     @property
     def name(self) -> str:
-        """What the object is called."""
+        """The object's name."""
         return f"{self.family.category}_s{self.series}_{self.index:02d}"
 
     def drawn(self) -> ObjectModel:
