@@ -65,10 +65,15 @@ OTHER_ID = 1 << 50
 """The first id of trials that no benchmark and no training of this bench has."""
 COSTLY = "families:* x 2 seed 71"
 """Instances whose cost is measured."""
+SHORT = (
+    *("--families", "* x 2 seed 72", "--regions", "1", "--items", "6", "--steps", "400"),
+    *("--rounds", "1", "--mined-items", "2", "--mined-steps", "100"),
+)
+"""A training of the notebook's size."""
 TRAININGS = {
     "one process": ("--workers", "0"),
     "two processes": ("--workers", "1"),
-    "two processes, --renew 5": ("--workers", "1", "--renew", "5"),
+    "two processes, --renew 3": ("--workers", "1", "--renew", "3"),
 }
 SAME_WEIGHTS = ("one process", "two processes")
 VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
@@ -335,7 +340,7 @@ def from_nothing(place: Path) -> dict[str, Any]:
             shutil.rmtree(folder, ignore_errors=True)
         before, start = os.times(), time.perf_counter()
         subprocess.run(
-            [sys.executable, "-m", "r2h_batch", "train", "rank", "--out", str(out), *words],
+            [sys.executable, "-m", "r2h_batch", "train", "rank", "--out", str(out), *SHORT, *words],
             check=True, env={**os.environ, "R2H_BATCH_CACHE": str(cache)}, stdout=subprocess.DEVNULL,
         )  # fmt: skip
         after = os.times()
@@ -696,10 +701,11 @@ then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CP
 """
 DRAWING = """## From an empty cache
 
-{count} instances are drawn before or while `train rank` learns from them. An instance with its grasp candidates takes
-{anew:.2f} CPU s ({candidates:.2f} of them the candidates), and {kept:.3f} from disk. With `--renew 5` training begins with one
-instance of each category, and the others are drawn meanwhile. The first two trainings give {same} weights.
-Load when they had ended: {load:.1f} on {cores} cores, so wall times are those of a busy machine.
+An instance with its grasp candidates takes {anew:.2f} CPU s ({candidates:.2f} of them the candidates), and {kept:.3f} from disk.
+The table is of trainings of the [notebook's](../notebooks/learning.md) size, with {count} instances that nobody has drawn
+before. The first two give {same} weights. With `--renew 3` training begins with one instance of each category, and the
+others are drawn meanwhile. Others used the machine too (load {load:.1f} on {cores} cores), so wall times compare these
+lines alone.
 
 {table}
 
@@ -841,12 +847,11 @@ def views_words(own: Mapping[str, Any]) -> str:
 
 def drawing_words(own: Mapping[str, Any], cores: int) -> str:
     """The section on trainings from an empty cache."""
-    from r2h_batch.learning.rank import Recipe
     from r2h_batch.protocols.family_objects import planned_objects
 
     cost, runs = own["instance"], {k: v for k, v in own["trainings"].items() if k != "same"}
     return DRAWING.format(
-        count=len(planned_objects(f"families:{Recipe().families}")), anew=cost["drawn anew"], kept=cost["from disk"],
+        count=len(planned_objects(f"families:{SHORT[1]}")), anew=cost["drawn anew"], kept=cost["from disk"],
         candidates=cost["drawn anew, candidates"], same="the same" if own["trainings"]["same"] else "OTHER",
         load=own["load"], cores=cores,
         table=markdown_table(["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in runs.items()]),
