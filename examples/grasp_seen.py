@@ -4,6 +4,7 @@
 
 Of many gripper poses about the cloud it keeps those that have points between the pads, fit the stroke and have no point
 inside the gripper. What no camera saw is taken to reach down to the table, so that a thing that lies flat has a thickness.
+Where the receiver's region is told (`--sees cell-v1,region=told`), a pose with points of it between the pads comes last.
 """
 
 import numpy as np
@@ -23,6 +24,7 @@ POINTS, SPACING_M = 700, 0.008
 def predict(seen, *, seed=0):
     """T_world_grasp, T_world_ee (N, 4, 4)."""
     cloud, mask = seen.cloud(2048)
+    wanted = torch.zeros_like(mask) if seen.region is None else seen.cloud_region(2048)
     found = []
     for i in range(len(seen)):
         draw = np.random.default_rng([seed, int(seen.key[i])])  # the same in any batch
@@ -31,7 +33,7 @@ def predict(seen, *, seed=0):
         if len(points) < 20:  # a camera may miss the object
             found.append((np.eye(4), np.eye(4)))
             continue
-        T_world_grasp = grasp(points, draw)
+        T_world_grasp = grasp(points, draw, cloud[i][wanted[i]].double().numpy())
         found.append((T_world_grasp, presented(points, T_world_grasp, palm, normal)))
     grasps, handovers = (torch.from_numpy(np.stack(poses)) for poses in zip(*found, strict=True))
     return grasps, handovers
@@ -56,8 +58,8 @@ def to_the_table(points):
     return np.concatenate(below)
 
 
-def grasp(points, draw):
-    """The best of many poses about the cloud: points between the pads, and none in the gripper."""
+def grasp(points, draw, region):
+    """The best of many poses about the cloud: points between the pads, none of the receiver's region, and none in the gripper."""
     points = draw.permutation(points)[:POINTS]
     solid = to_the_table(points)
     middle = points.mean(0)
@@ -80,6 +82,8 @@ def grasp(points, draw):
                     continue
                 # thin, and far from the middle: the rest is the receiver's
                 value = np.linalg.norm(R @ centre - middle) - 0.5 * width - 0.03 * max(z[2], 0.0)
+                if (np.abs(region @ R - centre) < (PAD[0], 0.5 * width + FREE_M, PAD[1])).all(1).any():
+                    value -= 1.0
                 if value > top:
                     best, top = pose(R, R @ centre), value
     if best is None:  # straight down on the middle, across the short side

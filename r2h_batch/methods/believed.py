@@ -1,8 +1,9 @@
 """The world as a method that sees believes it: built-in methods answer in it, and are told nothing else.
 
-An object is the solid that the images show (`observe.solid`), or the known mesh where it is believed to lie. It has no parts,
-no region, no name. Grasp candidates and the receiver's hand on it are sampled on that solid. The target hand is a hand of the
-benchmark in a middle posture, where `Observation.receiver` says. The person has no arm and no torso.
+An object is the solid that the images show (`observe.solid`), or the known mesh where it is believed to lie. It has no name, and
+no parts but the receiver's region, where that is told: the faces nearest to seen points of it. Grasp candidates and the hand that
+takes it are sampled on that solid. The target hand is a hand of the benchmark in a middle posture, where `Observation.receiver`
+says. The person has no arm and no torso.
 """
 
 import gc
@@ -31,9 +32,10 @@ from r2h_batch.methods.predictors import Observations, PredictorNoise
 from r2h_batch.methods.predictors.external_predictions import ExternalHands
 from r2h_batch.methods.predictors.principal_axes import load_axes_network
 from r2h_batch.methods.robust import Sizes
+from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.seeing import Level
 from r2h_batch.observe.seen import Observation, Receiver, packed
-from r2h_batch.observe.solid import completed
+from r2h_batch.observe.solid import completed, region_of_faces, views_of
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import HandGeometry, HandModel, HandSet, palm_frame
@@ -136,6 +138,7 @@ class AskedHere:
             seen, *self._known, self._config, self._noise, holds=self._holds, seed=self._seed
         )
         if world is not None:
+            known_moments(world.scene).tell(world.trials, world.T_world_obj.float())
             answer = self._function(world.trials, world.scene, **self._arguments(world))
             T_world_grasp = se3.matmul(world.T_world_obj, answer.T_obj_ee.double())
             grasp[world.row], handover[world.row] = T_world_grasp, answer.T_world_ee.double()
@@ -154,6 +157,8 @@ class AskedHere:
             found["seen"] = world.receiving
         if "predictor" in self._takes:
             found["predictor"] = contacts_of_any
+        if "T_world_obj" in self._takes and "pick" in world.scene.benchmark.asks:
+            found["T_world_obj"] = world.T_world_obj.float()
         if "sizes" in self._takes:
             found["sizes"] = self._sizes
         if "evaluator" in self._takes:
@@ -164,13 +169,14 @@ class AskedHere:
 
 
 def noise_left(noise: float) -> PredictorNoise:
-    """Errors of what methods see, less that of the target hand: `Observation.receiver` has it already.
+    """Errors of what methods see, less those of the target hand and of borders: `Observation.receiver` and `.region` have them
+    already.
 
     Args:
         noise: factor on errors, as of `observe`.
     """
     scaled = PredictorNoise().scaled(noise)
-    return replace(scaled, target_rotation_deg=0.0, target_translation_m=0.0)
+    return replace(scaled, target_rotation_deg=0.0, target_translation_m=0.0, border_m=0.0)
 
 
 def error_sizes(noise: float, model: Level | None) -> Sizes:
@@ -340,13 +346,21 @@ def _object(
         known, k = seen.known, int(seen.known.mesh[row])
         T = known.T_world_obj[row].double().cpu().numpy()
         vertices, faces = known.vertices[k].cpu().numpy(), known.faces[k].cpu().numpy()
-        digest = hashlib.sha256(vertices.tobytes() + faces.tobytes()).hexdigest()
-        model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), robot)
+        told = b""
+        if seen.region is not None:
+            placed = vertices.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
+            told = region_of_faces(views_of(seen, row), placed, faces).tobytes()
+        digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + told).hexdigest()
+        model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), told, robot)
         return None if model is None else (model, T)
     shown = packed(seen[row : row + 1])
     digest = (
         hashlib.sha256(  # the key too: it is of all images, and draws of the solid follow from it
-            b"".join(v.tobytes() for k, v in shown.items() if k.startswith(("object", "T_", "key")))
+            b"".join(
+                v.tobytes()
+                for k, v in shown.items()
+                if k.startswith(("object", "T_", "key", "region"))
+            )
         ).hexdigest()
     )
     if (digest, robot) not in SOLIDS:
@@ -366,28 +380,41 @@ def _of_images(
     T = np.eye(4)
     T[:3, 3] = 0.5 * (solid.vertices.min(0) + solid.vertices.max(0))
     name = f"seen_{int(seen.key[row]):016x}"
-    model = _with_grasps(name, solid.vertices - T[:3, 3], solid.faces, robot)
+    model = _with_grasps(name, solid.vertices - T[:3, 3], solid.faces, solid.region, robot)
     return None if model is None else (model, T)
 
 
 @lru_cache(maxsize=256)
-def _known(name: str, vertices: bytes, faces: bytes, robot: Robot) -> ObjectModel | None:
-    """A known mesh with its candidates: in most trials it has come before."""
+def _known(
+    name: str, vertices: bytes, faces: bytes, told: bytes, robot: Robot
+) -> ObjectModel | None:
+    """A known mesh with its candidates: in most trials it has come before, if no region is told."""
     v = np.frombuffer(vertices, np.float32).reshape(-1, 3)
     f = np.frombuffer(faces, np.int32).reshape(-1, 3)
-    return _with_grasps(name, v.astype(np.float64), f, robot)
+    region = np.frombuffer(told, bool) if told else None
+    return _with_grasps(name, v.astype(np.float64), f, region, robot)
 
 
 def _with_grasps(
-    name: str, vertices: NDArray[np.float64], faces: NDArray[Any], robot: Robot
+    name: str,
+    vertices: NDArray[np.float64],
+    faces: NDArray[Any],
+    region: NDArray[np.bool_] | None,
+    robot: Robot,
 ) -> ObjectModel | None:
-    """An object of one part with candidates for the robot's gripper; None: it can hold it nowhere."""
+    """An object with candidates for the robot's gripper, of one part, or of two where it has a told region and more; None: the
+    gripper can hold it nowhere."""
     import trimesh
 
+    parts: dict[str, Any] = {}
+    if region is not None and region.any() and not region.all():
+        parts = {
+            "split": "S1", "receiver": region, "face_part": region.astype(np.uint8), "part_names": ("body", "region"),
+        }  # fmt: skip
     with warnings.catch_warnings():  # a repair of what was seen is no user's business
         warnings.simplefilter("ignore")
         mesh = trimesh.Trimesh(vertices, faces, process=False)
-        model = build_object(mesh, name=name, pieces=False)
+        model = build_object(mesh, name=name, pieces=False, **parts)
         try:
             found = sample_grasps(model, robot, enough=GRASPS_ENOUGH)
         except NoGraspError:

@@ -19,6 +19,7 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import blocked as blocked_kernels
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.from_table import chosen_candidate
 from r2h_batch.methods.gate import Gate
 from r2h_batch.methods.least_cost_pose import (
     DIRECTIONS,
@@ -32,8 +33,6 @@ from r2h_batch.methods.placing import (
     Anchor,
     candidates_clear_of,
     check_choice,
-    least,
-    taken,
 )
 from r2h_batch.methods.predictors import (
     ContactPredictor,
@@ -80,6 +79,7 @@ def predict(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     predictor: ContactPredictor | None = None,
     threshold: float = THRESHOLD,
     height_m: float = HEIGHT_M,
@@ -108,6 +108,8 @@ def predict(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: errors of what the method sees; None: `PredictorNoise()`.
         seen: answers of your own networks, in place of the stand-ins.
+        T_world_obj: (N, 4, 4) where the objects rest when a trial begins on the table, m; the method then takes the best grasp
+            that the arm can pick there. None: a trial begins with the object in the gripper.
         predictor: what gives the contact map (`predictors.load_predictor`); None: the built-in
             VoxNet.
         threshold: probability from which a point counts as touched.
@@ -138,7 +140,7 @@ def predict(
     clustered = in_clusters(scene, eps_m, min_samples)
     near = points_near_gripper(scene, blocked_m)
 
-    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+    def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         contact = predict_contacts(
@@ -156,33 +158,30 @@ def predict(
             near, contact, table.first[part.object_index.long()], table.count[part.object_index.long()], table.most,
             threshold=threshold
         )  # fmt: skip
-        row = taken(rows, least_blocked(blocked, table.score[rows], clear, clustered[rows], exists))
+        T_obj_ee, opening = chosen_candidate(
+            scene,
+            part,
+            None if T_world_obj is None else T_world_obj[rows_of],
+            clustered_else_clear(clear, clustered[rows], exists),
+            blocked,
+            -table.score[rows],
+        )
         T_world_ee = least_cost_pose(
-            scene, part.object_index, table.T_obj_ee[row], table.opening_m[row], target, height_m,
+            scene, part.object_index, T_obj_ee, opening, target, height_m,
             directions=directions, rolls=rolls, zone_m=zone_m, hand_points=hand_points, gate=gate,
             clearance_m=clearance_m, at=at
         )  # fmt: skip
-        return table.T_obj_ee[row], T_world_ee
+        return T_obj_ee, T_world_ee
 
     return answers(trials, scene, "contact", choose)
 
 
-def least_blocked(
-    blocked: Float32[Tensor, "b k"],
-    score: Float32[Tensor, "b k"],
-    clear: Bool[Tensor, "b k"],
-    clustered: Bool[Tensor, "b k"],
-    exists: Bool[Tensor, "b k"],
-) -> Tensor:
-    """Index of the least blocked contact among the clear, clustered candidates; of equals the best
-    antipodal score.
-
-    Where none is both: among the clear ones, where none is clear: among all.
-    """
+def clustered_else_clear(
+    clear: Bool[Tensor, "b k"], clustered: Bool[Tensor, "b k"], exists: Bool[Tensor, "b k"]
+) -> Bool[Tensor, "b k"]:
+    """The clear, clustered candidates of each row. Where none is both: the clear ones, where none is clear: all."""
     pool = torch.where((clear & clustered).any(1, keepdim=True), clear & clustered, clear)
-    pool = torch.where(pool.any(1, keepdim=True), pool, exists) & exists
-    cost = torch.where(pool, blocked.double(), torch.inf)
-    return least(-score, pool & (cost == cost.amin(1, keepdim=True)), exists)
+    return torch.where(pool.any(1, keepdim=True), pool, exists) & exists
 
 
 @lru_cache(maxsize=8)

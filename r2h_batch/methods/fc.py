@@ -7,24 +7,24 @@ gripper opposed to the target hand's direction, the object's centre 15 cm above 
 names neither the point nor its distance: `at`, `height_m`).
 """
 
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.from_table import chosen_candidate
 from r2h_batch.methods.gate import Gate, first_fit
 from r2h_batch.methods.placing import (
     HEIGHT_M,
     Anchor,
+    allowed_else_usable,
     approach_frames,
     candidates_clear_of,
     home_x,
-    least,
     placed_above_palm,
     roll_angles,
     rolled,
-    taken,
     unit,
 )
 from r2h_batch.methods.predictors import (
@@ -53,6 +53,7 @@ def predict(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     rolls: int = ROLLS,
     clearance_m: float = CLEARANCE_M,
     gate: Gate = "hand",
@@ -67,6 +68,8 @@ def predict(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: errors of what the method sees; None: `PredictorNoise()`.
         seen: answers of your own networks, in place of the stand-ins.
+        T_world_obj: (N, 4, 4) where the objects rest when a trial begins on the table, m; the method then takes the best grasp
+            that the arm can pick there. None: a trial begins with the object in the gripper.
         rolls: turns about the approach axis that are tried.
         clearance_m: what gripper and receiving hand must keep.
         gate: what a roll must pass (`gate.Gate`).
@@ -78,19 +81,24 @@ def predict(
     """
     table = candidate_table(scene)
 
-    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+    def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         rows, exists = table.rows(part.object_index)
         score = opposition(table.T_obj_ee[rows][..., :3, 2], taking.wrist_to_middle)
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m)
-        row = taken(rows, least(score, clear, exists))
-        T_obj_ee = table.T_obj_ee[row]
+        T_obj_ee, opening = chosen_candidate(
+            scene,
+            part,
+            None if T_world_obj is None else T_world_obj[rows_of],
+            allowed_else_usable(clear, exists),
+            score,
+        )
         frames = approach_frames(-target.wrist_to_middle, home_x(scene))
         R = rolled(frames, roll_angles(rolls))
         T_world_ee = placed_above_palm(scene, R, T_obj_ee, part.object_index, target, height_m, at)
         return T_obj_ee, first_fit(
-            scene, T_world_ee, table.opening_m[row], target.vertices, clearance_m, gate=gate
+            scene, T_world_ee, opening, target.vertices, clearance_m, gate=gate
         )
 
     return answers(trials, scene, "fc", choose)

@@ -22,6 +22,7 @@ from r2h_batch.judge.grasp import close_pads
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.box_grasps import BoxGrasps, box_grasps, depth_steps
 from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.from_table import best_picked
 from r2h_batch.methods.gate import Gate, passing
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.methods.placing import (
@@ -83,6 +84,7 @@ def predict(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     loops: Loops = "original",
     at: BodyPoses = "handle",
     gate: Gate = "ik",
@@ -102,6 +104,8 @@ def predict(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: errors of what the method sees; None: `PredictorNoise()`.
         seen: answers of your own networks, in place of the stand-ins.
+        T_world_obj: (N, 4, 4) where the objects rest when a trial begins on the table, m; the method then tries the best eight
+            grasps that the arm can pick there. None: a trial begins with the object in the gripper.
         loops: what is tried, in which order.
         at: what is put opposite the palm.
         gate: what a pose must pass (`gate.Gate`).
@@ -121,7 +125,7 @@ def predict(
     depths = depth_steps(DEPTH_LOW_M, DEPTH_HIGH_M, DEPTH_STEP_M)
     table = candidate_table(scene)
 
-    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+    def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
         parts = predict_parts(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
         role = point_roles(scene, part.object_index, parts)
@@ -132,6 +136,8 @@ def predict(
         rows, exists = table.rows(part.object_index)
         spare = table.T_obj_ee[taken(rows, least(-table.score[rows], exists, exists))]
         grasps, feasible = by_score(own, spare)
+        if T_world_obj is not None:
+            grasps, feasible = best_picked(scene, part, T_world_obj[rows_of], grasps, feasible)
         axis = align_templates(
             scene, part.object_index, role,
             iterations=ICP_STEPS, tolerance_m=ICP_TOLERANCE_M, label_m=label_m

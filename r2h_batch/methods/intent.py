@@ -25,17 +25,17 @@ from r2h_batch.kernels.methods import approach_hit
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
+from r2h_batch.methods.from_table import chosen_candidate
 from r2h_batch.methods.gate import Gate, first_fit, let_through, passing
 from r2h_batch.methods.placing import (
     HEIGHT_M,
+    allowed_else_usable,
     approach_frames,
     check_choice,
     home_x,
-    least,
     placed_above_palm,
     roll_angles,
     rolled,
-    taken,
     turned_inward,
     unit,
 )
@@ -97,6 +97,7 @@ def predict(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     instructions: Sequence[str] | None = None,
     rolls: int = ROLLS,
     height_m: float = HEIGHT_M,
@@ -116,6 +117,8 @@ def predict(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: errors of what the method sees; None: `PredictorNoise()`.
         seen: answers of your own networks, in place of the stand-ins.
+        T_world_obj: (N, 4, 4) where the objects rest when a trial begins on the table, m; the method then takes the best grasp
+            that the arm can pick there. None: a trial begins with the object in the gripper.
         instructions: one sentence a trial; None: each object's own.
         rolls: with orientation `axis`: turns about the approach axis that are tried.
         height_m: how far what `at` names stands above the palm.
@@ -197,14 +200,17 @@ def predict(
                 scene, T, table.opening_m[rows], target.vertices, clearance_m, gate=asked
             )
             allowed = let_through(passes, reached, allowed)
-        row = taken(rows, least(score, allowed, exists))
-        T_obj_ee = table.T_obj_ee[row]
+        T_obj_ee, opening = chosen_candidate(
+            scene,
+            part,
+            None if T_world_obj is None else T_world_obj[rows_of],
+            allowed_else_usable(allowed, exists),
+            score,
+        )
         poses = posed(T_obj_ee)
         if not turns:
             return T_obj_ee, poses[:, 0].contiguous()
-        return T_obj_ee, first_fit(
-            scene, poses, table.opening_m[row], target.vertices, clearance_m, gate=asked
-        )
+        return T_obj_ee, first_fit(scene, poses, opening, target.vertices, clearance_m, gate=asked)
 
     return answers(trials, scene, "intent", choose)
 

@@ -13,12 +13,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
+import numpy as np
 import torch
+from jaxtyping import Float32
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
-from r2h_batch.base import rng
+from r2h_batch.base import rng, se3
 from r2h_batch.methods.batches import answers
 from r2h_batch.methods.candidates import check_candidates
+from r2h_batch.methods.from_table import first_picked
 from r2h_batch.methods.placing import check_choice
 from r2h_batch.methods.predictors import Observations, PredictorNoise
 from r2h_batch.methods.ranker.features import SEE, SPREAD
@@ -47,6 +51,7 @@ def predict(
     seed: int = 0,
     noise: PredictorNoise | None = None,
     seen: Observations | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     weights: str = "",
     region: Region = "seen",
     first: int = FIRST,
@@ -60,6 +65,8 @@ def predict(
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: errors of what the method sees; None: `PredictorNoise()`.
         seen: answers of your own networks, in place of the stand-ins.
+        T_world_obj: (N, 4, 4) where the objects rest when a trial begins on the table, m; the method then takes the best grasp
+            that the arm can pick there. None: a trial begins with the object in the gripper.
         weights: a file that `r2h-batch train rank` wrote; empty: the shipped weights.
         region: `seen`, or `hidden`: the receiver's region is not told.
         first: pairs that are drawn at random.
@@ -74,20 +81,36 @@ def predict(
     key = rng.key_of(f"learned {seed}")
     see = replace(SEE, noise=noise, spread=_spread(weights))
 
-    def choose(part: Trials, _: slice) -> tuple[Tensor, Tensor]:
+    def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
         # each trial alone: torch's sums have other last bits in other shapes
-        found = [_chosen(part[n : n + 1]) for n in range(len(part))]
-        T_obj_ee, T_world_ee = (torch.stack(column) for column in zip(*found, strict=True))
-        return T_obj_ee, T_world_ee
+        ranked = [_ranked(part[n : n + 1]) for n in range(len(part))]
+        usable = torch.tensor(
+            [len(grasps) for grasps, _ in ranked], dtype=torch.int64, device=scene.device
+        )
+        grasps, poses = (pad_sequence(list(x), batch_first=True) for x in zip(*ranked, strict=True))
+        if T_world_obj is None:
+            return grasps[:, 0], poses[:, 0]
+        order = torch.arange(grasps.shape[1], dtype=torch.int64, device=scene.device)
+        place, T_obj_ee, _ = first_picked(
+            scene, part, T_world_obj[rows_of], grasps, order.expand(len(part), -1), usable
+        )
+        row = torch.arange(len(part), dtype=torch.int64, device=scene.device)
+        # the object stays where it was held out when its grasp is backed out
+        T_grasp_ee = se3.matmul(se3.inverse(grasps[row, place].double()), T_obj_ee.double())
+        return T_obj_ee, se3.matmul(poses[row, place].double(), T_grasp_ee).float()
 
-    def _chosen(trial: Trials) -> tuple[Tensor, Tensor]:
+    def _ranked(trial: Trials) -> tuple[Tensor, Tensor]:
+        """(C, 4, 4) candidates of a trial that pairs were drawn of, and the pose of each that the network likes best; the best
+        pairs first."""
         told, middle = observe(trial, scene, see, seed=seed, seen=seen, region=region == "seen")
         count = int(told["exists"].sum())
         own = {k: v[:, :count] if k in PER_CANDIDATE else v for k, v in told.items()}
         pick, T, good = liked(
             own, middle, trial.trial_id, scored_by(net), key, first=first, second=second, top=TOP
         )
-        best = int(good[0].argmax())
+        order = good[0].argsort(descending=True, stable=True)
+        _, first_pair = np.unique(pick[0, order].cpu().numpy(), return_index=True)
+        best = order[torch.from_numpy(np.sort(first_pair)).to(order.device)]
         return own["candidates"][0, pick[0, best]], T[0, best]
 
     return answers(trials, scene, "learned", choose)

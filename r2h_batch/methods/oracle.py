@@ -20,8 +20,9 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper, region_distance, squeezed
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods.candidates import candidates_in, check_candidates, stacked
-from r2h_batch.methods.from_table import PickedGrasps, picked_grasps
+from r2h_batch.methods.from_table import TURNS, PickedGrasps, picked_grasps
 from r2h_batch.methods.placing import check_choice
+from r2h_batch.observe.known import known_moments
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Outcome, Predictions, Scores, Trials
 from r2h_batch.verdicts import IN_ORDER
@@ -151,7 +152,13 @@ class Fan:
         self._start = rng.uniforms(key, trials.trial_id.cpu().numpy(), len(_STEPS), purpose=_FAN)
         self._picked: PickedGrasps | None = None
         if "pick" in evaluator.benchmark.asks:
-            self._picked = picked_grasps(evaluator.scene, trials, self._candidates)
+            self._picked = picked_grasps(
+                evaluator.scene,
+                trials,
+                known_moments(evaluator.scene).of(trials),
+                self._candidates,
+                np.full(len(trials), TURNS),
+            )
 
     def _candidates(self, turn: int) -> NDArray[np.float64]:
         """(n, 4, 4) a candidate of each trial's object, in the order of its sequence."""

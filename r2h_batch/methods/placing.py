@@ -131,12 +131,30 @@ def first_true(passes: Bool[Tensor, "b r"]) -> Int[Tensor, " b"]:
     return passes.to(torch.int8).argmax(1)
 
 
+def in_order(
+    pool: Bool[Tensor, "b k"], *keys: Float[Tensor, "b k"]
+) -> tuple[Int64[Tensor, "b k"], Int64[Tensor, " b"]]:
+    """Places of each row's values, the least first: those of the pool, by the first key, where that is equal by the next one,
+    then by place. And how many the pool has."""
+    order = torch.arange(pool.shape[1], dtype=torch.int64, device=pool.device).expand_as(pool)
+    for key in (*reversed(keys), (~pool).double()):
+        order = order.gather(1, key.double().gather(1, order).argsort(dim=1, stable=True))
+    return order, pool.sum(1)
+
+
+def allowed_else_usable(
+    allowed: Bool[Tensor, "b k"], usable: Bool[Tensor, "b k"]
+) -> Bool[Tensor, "b k"]:
+    """The allowed and usable values of each row; the usable ones if no allowed one is there."""
+    return torch.where(allowed.any(1, keepdim=True), allowed & usable, usable)
+
+
 def least(
     score: Float[Tensor, "b k"], allowed: Bool[Tensor, "b k"], usable: Bool[Tensor, "b k"]
 ) -> Int[Tensor, " b"]:
     """Index of each row's smallest score, the first of equals: among the allowed and usable ones,
     or among the usable ones if no allowed one is there."""
-    pool = torch.where(allowed.any(1, keepdim=True), allowed & usable, usable)
+    pool = allowed_else_usable(allowed, usable)
     score = torch.where(pool, score.double(), torch.inf)
     low = score.amin(1, keepdim=True)
     return (score == low).to(torch.int8).argmax(1)

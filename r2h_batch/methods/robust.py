@@ -18,6 +18,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.object_errors import taken_grasps
 from r2h_batch.methods.candidates import check_candidates
 from r2h_batch.methods.oracle import Fan, how_far
+from r2h_batch.observe.known import known_moments
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 from r2h_batch.types import Predictions, Trials
@@ -122,6 +123,8 @@ def holding(
         seed: of the errors.
     """
     held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+    on_table = "pick" in evaluator.benchmark.asks
+    known = known_moments(evaluator.scene)
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
@@ -131,5 +134,8 @@ def holding(
         hand = estimated_hand(
             evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
         )  # fmt: skip
-        held += evaluator.score(grasp, T_world_ee, replace(trials, T_world_hand=hand)).success
+        moved = replace(trials, T_world_hand=hand)
+        if on_table:  # the object rests where it is, wherever the hand is
+            known.tell(moved, known.of(trials))
+        held += evaluator.score(grasp, T_world_ee, moved).success
     return held

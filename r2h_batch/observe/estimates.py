@@ -1,17 +1,22 @@
-"""Estimates that a method is told beside images: where the hand is believed to be, and the object, if its model is known."""
+"""Estimates that a method is told beside images: where the hand is believed to be, the object if its model is known, and which
+of its pixels a part labeller puts into the receiver's region."""
 
 import hashlib
+from functools import lru_cache
 
 import numpy as np
 import torch
-from jaxtyping import Float32, Int64
+from jaxtyping import Bool, Float32, Int64
+from scipy.spatial import cKDTree
 from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.config import ObjectErrors
 from r2h_batch.judge.object_errors import seen_frames
-from r2h_batch.observe.seen import Images, KnownObjects, Receiver
+from r2h_batch.observe.seen import LABELS, Images, KnownObjects, Receiver
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.borders import labels_with_borders
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 from r2h_batch.types import Trials
 
@@ -60,6 +65,60 @@ def believed_objects(
         tuple(torch.from_numpy(np.array(m.vertices, np.float32)) for m in models),
         tuple(torch.from_numpy(np.array(m.faces, np.int32)) for m in models),
     )
+
+
+def told_region(
+    scene: Scene,
+    trials: Trials,
+    images: Images,
+    T_world_camera: Float32[Tensor, "c 4 4"],
+    T_world_obj: Float32[Tensor, "n 4 4"],
+    *,
+    seed: int,
+    noise: float,
+) -> Bool[Tensor, "n c h w"]:
+    """Pixels of the object that a part labeller puts into the receiver's region.
+
+    Methods that are told the truth get the same labels of the objects' clouds (`labels_with_borders`: the same draws misplace the
+    borders). A pixel has the label of the point of the true cloud nearest to what was measured there. It is False where the mask
+    shows no object, and where no depth was measured: nothing else of the object is told.
+
+    Args:
+        scene: its objects.
+        trials: N trials.
+        images: windows about the objects, with the sensor's and the masks' errors.
+        T_world_camera: (C, 4, 4) float32, where the cameras stand in truth, m.
+        T_world_obj: (N, 4, 4) float32, where the objects lie in truth, m.
+        seed: of the borders' errors.
+        noise: factor on their deviation.
+    """
+    border_m = PredictorNoise().scaled(noise).border_m
+    label = labels_with_borders(trials, scene.objects, seed=seed, border_m=border_m).numpy()
+    shown = (images.label == LABELS.index("object")) & (images.depth_m > 0)
+    found = torch.zeros(shown.shape, dtype=torch.bool, device="cpu")
+    depth, K = images.depth_m.double().cpu(), images.K.double().cpu()
+    T_obj_camera = se3.matmul(
+        se3.inverse(T_world_obj.double().cpu())[:, None].expand(*K.shape[:2], 4, 4),
+        T_world_camera.double().cpu().expand(*K.shape[:2], 4, 4),
+    )
+    for i, k in enumerate(trials.object_index.tolist()):
+        if not (label[i] % 2).any():
+            continue
+        for c in range(shown.shape[1]):
+            v, u = shown[i, c].cpu().nonzero(as_tuple=True)
+            z = depth[i, c, v, u]
+            x = (u + 0.5 - K[i, c, 0, 2]) / K[i, c, 0, 0] * z
+            y = (v + 0.5 - K[i, c, 1, 2]) / K[i, c, 1, 1] * z
+            own = se3.apply(T_obj_camera[i, c][None], torch.stack([x, y, z], 1))
+            _, nearest = _tree(scene.objects[k]).query(own.numpy())
+            found[i, c, v, u] = torch.from_numpy(label[i][nearest] % 2 == 1)
+    return found.to(images.label.device)
+
+
+@lru_cache(maxsize=1024)
+def _tree(model: ObjectModel) -> cKDTree:
+    """The points of an object's cloud, for the nearest of them."""
+    return cKDTree(model.points.astype(np.float64))
 
 
 def image_keys(*windows: Images) -> Int64[Tensor, " n"]:

@@ -1,4 +1,4 @@
-"""Moments of trials that were asked for before: drawing one costs more than judging its trial."""
+"""Moments of trials that were asked for before, or that somebody told: drawing one costs more than judging its trial."""
 
 from functools import lru_cache
 
@@ -24,25 +24,41 @@ class KnownMoments:
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
         self._known: dict[bytes, Tensor] = {}
+        self._told: dict[bytes, Tensor] = {}
+
+    def tell(self, trials: Trials, T_world_obj: Float32[Tensor, "n 4 4"]) -> None:
+        """Let objects rest elsewhere than a draw says: where a method believes that it has seen them.
+
+        Args:
+            trials: N trials.
+            T_world_obj: (N, 4, 4) where their objects rest, m.
+        """
+        self._told |= zip(_keys(trials), T_world_obj, strict=True)
 
     def of(self, trials: Trials) -> Float32[Tensor, "n 4 4"]:
-        """As `moments`.
+        """As `moments`, but for trials that were told.
 
         Args:
             trials: N trials.
         """
-        decide = [trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand]
-        decide += [] if trials.receiver is None else [trials.receiver]
-        rows = ([row.tobytes() for row in x.cpu().numpy()] for x in decide)
-        keys = [b"".join(parts) for parts in zip(*rows, strict=True)]
+        keys = _keys(trials)
         if len(self._known) + len(keys) > MOST_KNOWN:
             self._known.clear()
-        if new := [i for i, key in enumerate(keys) if key not in self._known]:
+        new = [i for i, k in enumerate(keys) if k not in self._known and k not in self._told]
+        if new:
             drawn = moments(self._scene, trials[new])
             self._known |= zip((keys[i] for i in new), drawn, strict=True)
         if not keys:
             return moments(self._scene, trials)
-        return torch.stack([self._known[key] for key in keys])
+        return torch.stack([self._told[k] if k in self._told else self._known[k] for k in keys])
+
+
+def _keys(trials: Trials) -> list[bytes]:
+    """All that decides the moment of each trial."""
+    decide = [trials.trial_id, trials.object_index, trials.hand_index, trials.T_world_hand]
+    decide += [] if trials.receiver is None else [trials.receiver]
+    rows = ([row.tobytes() for row in x.cpu().numpy()] for x in decide)
+    return [b"".join(parts) for parts in zip(*rows, strict=True)]
 
 
 @lru_cache(maxsize=4)

@@ -9,7 +9,12 @@ from torch import Tensor
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.validate import check_arguments, instance_of, integer, number, one_of, optional
 from r2h_batch.config import OBJECT_ERRORS, ObjectErrors
-from r2h_batch.observe.estimates import believed_objects, believed_receiver, image_keys
+from r2h_batch.observe.estimates import (
+    believed_objects,
+    believed_receiver,
+    image_keys,
+    told_region,
+)
 from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import Rig
@@ -27,6 +32,8 @@ from r2h_batch.types import Trials
 
 Level = Literal["none", "lab", "field", "rgb"]
 """A key of `OBJECT_ERRORS`."""
+Region = Literal["hidden", "told"]
+"""Whether it is told which seen points belong to the part that the receiver wants (S1)."""
 CAMERA_CLEAR_M = 0.10
 """A camera that is nearer to a body is refused [choice]: stereo of 50 mm sees nothing there."""
 WHOLE_STRIDE = 8
@@ -41,6 +48,7 @@ WHOLE_STRIDE = 8
     noise=number(0, MOST_NOISE),
     labels=one_of(*MASKS),
     model=optional(one_of(*OBJECT_ERRORS)),
+    region=one_of("hidden", "told"),
 )
 def observe(
     scene: Scene,
@@ -51,6 +59,7 @@ def observe(
     noise: float = 1.0,
     labels: Masks = "exact",
     model: Level | None = None,
+    region: Region = "hidden",
 ) -> Observation:
     """Look at trials with the cameras of a rig, at the moment.
 
@@ -65,13 +74,16 @@ def observe(
         labels: exact, or masks of object and hand that are eroded, grown or at times missed.
         model: None: objects are not known; else the level of the error (`OBJECT_ERRORS`, times `noise`) with which the
             objects' poses are.
+        region: told: the observation has the receiver's region, as a part labeller sees it (`Observation.region`).
 
     Raises:
         UserError: an object finds no place (`moments`).
         UsageError: a camera stands in a body, or an object is in no camera's image.
     """
     T_world_obj = moments(scene, trials, seed=seed)
-    return look(scene, trials, rig, T_world_obj, seed=seed, noise=noise, labels=labels, model=model)
+    return look(
+        scene, trials, rig, T_world_obj, seed=seed, noise=noise, labels=labels, model=model, region=region
+    )  # fmt: skip
 
 
 def look(
@@ -84,6 +96,7 @@ def look(
     noise: float = 1.0,
     labels: Masks = "exact",
     model: Level | None = None,
+    region: Region = "hidden",
 ) -> Observation:
     """As `observe`, at moments of the caller's.
 
@@ -96,6 +109,7 @@ def look(
         noise: factor on the sensor's errors, 0 (exact) to 5.
         labels: as in `observe`.
         model: as in `observe`.
+        region: as in `observe`.
 
     Raises:
         UsageError: a camera stands in a body, or an object is in no camera's image.
@@ -112,6 +126,11 @@ def look(
         known = believed_objects(scene, trials, T_world_obj, sizes)
     own = _window(scene, trials, errors, T_world_obj, about, rig.object_px)
     hand = _window(scene, trials, errors, T_world_obj, palm, rig.hand_px)
+    told = None
+    if region == "told":
+        told = told_region(
+            scene, trials, own, rig.T_world_camera, T_world_obj, seed=seed, noise=noise
+        )
     return Observation(
         own,
         hand,
@@ -119,6 +138,7 @@ def look(
         believed_receiver(scene, trials, seed=seed, noise=noise),
         image_keys(own, hand),
         known,
+        told,
     )
 
 

@@ -77,6 +77,8 @@ class Observation:
         receiver: where the receiving hand is believed to be.
         key: a number of each trial's images: for random draws that are the same in any batch.
         known: the objects' models and poses; None where no model is known.
+        region: of each pixel of `object`, whether a part labeller puts what was measured there into the receiver's region; False
+            where no object was measured, and in trials without a region. None where no region is told.
     """
 
     object: Images
@@ -85,6 +87,7 @@ class Observation:
     receiver: Receiver
     key: Int64[Tensor, " n"]
     known: KnownObjects | None = None
+    region: Bool[Tensor, "n c h w"] | None = None
 
     def __len__(self) -> int:
         return len(self.T_world_camera)
@@ -123,6 +126,43 @@ class Observation:
             (N, P, 3) float32 in the world, m, 0 where masked; (N, P) whether there is a point.
         """
         images = self.hand if label == "hand" else self.object
+        mask, camera, v, u = self._drawn(images, points, label, seed)
+        of = torch.arange(len(self), dtype=torch.int64, device=mask.device)[:, None]
+        K, T = images.K[of, camera], self.T_world_camera[of, camera]
+        z = images.depth_m[of, camera, v, u]
+        x = (u + 0.5 - K[..., 0, 2]) / K[..., 0, 0] * z
+        y = (v + 0.5 - K[..., 1, 2]) / K[..., 1, 1] * z
+        found = torch.stack(
+            [
+                x * T[..., k, 0] + y * T[..., k, 1] + z * T[..., k, 2] + T[..., k, 3]
+                for k in range(3)
+            ],
+            -1,
+        )
+        return torch.where(mask[..., None], found, torch.zeros_like(found)), mask
+
+    def cloud_region(self, points: int = 2048, *, seed: int = 0) -> Bool[Tensor, "n p"]:
+        """Whether each point of `cloud(points, seed=seed)` is in the receiver's region; False where masked.
+
+        Args:
+            points: of each trial.
+            seed: of the cloud's draw.
+
+        Raises:
+            ValueError: no region is told.
+        """
+        if self.region is None:
+            raise ValueError("the receiver's region is not told; look with region=told")
+        mask, camera, v, u = self._drawn(self.object, points, "object", seed)
+        of = torch.arange(len(self), dtype=torch.int64, device=mask.device)[:, None]
+        return self.region[of, camera, v, u] & mask
+
+    def _drawn(
+        self, images: Images, points: int, label: str, seed: int
+    ) -> tuple[
+        Bool[Tensor, "n p"], Int64[Tensor, "n p"], Int64[Tensor, "n p"], Int64[Tensor, "n p"]
+    ]:
+        """The pixels of a cloud: whether there is one, camera, row and column."""
         shown = (images.label == LABELS.index(label)) & (images.depth_m > 0)
         row, pixel = (x.cpu().numpy() for x in shown.flatten(1).nonzero(as_tuple=True))
         key, ids = rng.key_of(f"cloud {label} {seed}"), self.key.cpu().numpy()
@@ -137,20 +177,7 @@ class Observation:
         taken[there] = pixel[order][(first[:, None] + k)[there]]
         mask, at = (torch.from_numpy(x).to(shown.device) for x in (there, taken))
         h, w = shown.shape[-2:]
-        camera, v, u = at // (h * w), at % (h * w) // w, at % w
-        of = torch.arange(len(self), dtype=torch.int64, device=shown.device)[:, None]
-        K, T = images.K[of, camera], self.T_world_camera[of, camera]
-        z = images.depth_m[of, camera, v, u]
-        x = (u + 0.5 - K[..., 0, 2]) / K[..., 0, 0] * z
-        y = (v + 0.5 - K[..., 1, 2]) / K[..., 1, 1] * z
-        found = torch.stack(
-            [
-                x * T[..., k, 0] + y * T[..., k, 1] + z * T[..., k, 2] + T[..., k, 3]
-                for k in range(3)
-            ],
-            -1,
-        )
-        return torch.where(mask[..., None], found, torch.zeros_like(found)), mask
+        return mask, at // (h * w), at % (h * w) // w, at % w
 
 
 def packed(seen: Observation) -> dict[str, NDArray[np.generic]]:
@@ -165,6 +192,8 @@ def packed(seen: Observation) -> dict[str, NDArray[np.generic]]:
         for k, value in vars(getattr(seen, name)).items()
     }
     arrays |= {"T_world_camera": seen.T_world_camera, "key": seen.key}
+    if seen.region is not None:
+        arrays["region"] = seen.region
     if (known := seen.known) is not None:
         arrays |= {"known T_world_obj": known.T_world_obj, "known mesh": known.mesh}
         for name in ("vertices", "faces"):
@@ -196,5 +225,5 @@ def unpacked(arrays: Mapping[str, NDArray[np.generic]]) -> Observation:
         )
     return Observation(
         Images(**of("object")), Images(**of("hand")), tensors["T_world_camera"],
-        Receiver(**of("receiver")), tensors["key"], known,
+        Receiver(**of("receiver")), tensors["key"], known, tensors.get("region"),
     )  # fmt: skip

@@ -9,16 +9,20 @@ from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.base.errors import UsageError, nearest
+from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rig import Rig, load_rig
-from r2h_batch.observe.seeing import Level, look
+from r2h_batch.observe.seeing import Level, Region, look
 from r2h_batch.observe.seen import Observation
 from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Masks
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
 MOST_SEED = 10**12
-FORM = "--sees is RIG[,noise=0..5][,labels=exact|eroded|grown|missed][,model=unknown|known][,object=lab|field|rgb|none][,seed=N]"
+FORM = (
+    "--sees is RIG[,noise=0..5][,labels=exact|eroded|grown|missed][,model=unknown|known][,object=lab|field|rgb|none]"
+    "[,region=hidden|told][,seed=N]"
+)
 
 
 @dataclass(frozen=True)
@@ -30,7 +34,8 @@ class Sees:
         noise: factor on the errors of the sensor, of the hand's estimate and of the object's.
         labels: errors of masks.
         model: None: objects are not known; else the level of their poses' error.
-        seed: of moments and errors.
+        seed: of errors, and of moments where the benchmark has none of its own.
+        region: whether the receiver's region is told.
     """
 
     rig: Rig
@@ -38,6 +43,7 @@ class Sees:
     labels: Masks = "exact"
     model: Level | None = None
     seed: int = 0
+    region: Region = "hidden"
 
     @classmethod
     def parse(cls, text: str) -> "Sees":
@@ -57,6 +63,7 @@ class Sees:
             "labels": MASKS,
             "model": ("unknown", "known"),
             "object": get_args(Level),
+            "region": get_args(Region),
             "seed": (),
         }
         for part in parts:
@@ -82,11 +89,13 @@ class Sees:
             raise UsageError(f"--sees: seed is {given['seed']!r}; it must be a whole number")
         model: Any = given.get("object", "lab") if given.get("model") == "known" else None
         labels: Any = given.get("labels", "exact")
-        return cls(load_rig(name), noise, labels, model, int(seed))
+        region: Any = given.get("region", "hidden")
+        return cls(load_rig(name), noise, labels, model, int(seed), region)
 
     @property
     def identity(self) -> dict[str, Any]:
-        """All that decides the images and estimates, for run.json."""
+        """All that decides the images and estimates, for run.json. A hidden region is not named: runs of before had no other."""
+        told = {"region": self.region} if self.region != "hidden" else {}
         return {
             "rig": self.rig.name,
             "rig_digest": self.rig.digest,
@@ -94,6 +103,7 @@ class Sees:
             "labels": self.labels,
             "object": self.model or "unknown",
             "seed": self.seed,
+            **told,
         }
 
     @property
@@ -108,10 +118,14 @@ class Sees:
             scene: what is seen.
             trials: N trials.
         """
-        T_world_obj = moments(scene, trials, seed=self.seed)
+        # where a benchmark asks for Pick, its own moment is what is seen
+        asks = "pick" in scene.benchmark.asks
+        T_world_obj = (
+            known_moments(scene).of(trials) if asks else moments(scene, trials, seed=self.seed)
+        )
         seen = look(
             scene, trials, self.rig, T_world_obj,
-            seed=self.seed, noise=self.noise, labels=self.labels, model=self.model,
+            seed=self.seed, noise=self.noise, labels=self.labels, model=self.model, region=self.region,
         )  # fmt: skip
         return seen, T_world_obj
 

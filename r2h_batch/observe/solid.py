@@ -4,11 +4,12 @@ Nothing is asked but the images. What no camera saw is taken to be inside the co
 straight down on the table, as far as no camera looks through it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import igl
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, gaussian_filter, minimum_filter
 from scipy.spatial import ConvexHull, QhullError, cKDTree
@@ -36,25 +37,42 @@ PAIR_M, PAIR_ROUNDS = (0.015, 0.005), 12
 SHELL_M = 0.0025
 """Least half thickness of what was seen [choice]: errors of calibration else carve thin things away."""
 
+VOTES = 5
+"""A face belongs to the region if most of so many nearest told points do [choice]: cameras may disagree at its border."""
+
 F64 = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Solid:
-    """A closed surface in the world, m: V vertices, F faces, counter-clockwise from outside."""
+    """A closed surface in the world, m: V vertices, F faces, counter-clockwise from outside.
+
+    Attributes:
+        vertices: (V, 3), m.
+        faces: (F, 3) rows of the vertices.
+        region: (F,) faces of the receiver's region; None: none is told.
+    """
 
     vertices: Float64[np.ndarray, "v 3"]
     faces: Int64[np.ndarray, "f 3"]
+    region: Bool[np.ndarray, " f"] | None = None
 
 
 @dataclass(frozen=True)
 class View:
-    """One camera's window: depth (0: none), whether the object's mask, and how it looks at the world."""
+    """One camera's window: depth (0: none), whether the object's mask, how it looks at the world, and what is told of the
+    region (None: nothing)."""
 
     depth_m: F64
     mask: NDArray[np.bool_]
     K: F64
     T_world_camera: F64
+    region: NDArray[np.bool_] | None = None
+
+    def told(self) -> NDArray[np.bool_]:
+        """Whether each of `points` is in the receiver's region."""
+        assert self.region is not None
+        return self.region[self.mask & (self.depth_m > 0)]
 
     def points(self) -> F64:
         """Points of the object that it saw, world, m."""
@@ -125,19 +143,56 @@ def completed(seen: Observation, row: int) -> Solid | None:
     for axis in range(3):  # the surface closes inside the grid
         edge = np.moveaxis(value, axis, 0)
         edge[0] = edge[-1] = np.minimum(edge[0], -0.5)
-    return _largest(_surface(value, low, cell))
+    solid = _largest(_surface(value, low, cell))
+    if solid is None or seen.region is None:
+        return solid
+    return replace(solid, region=region_of_faces(views, solid.vertices, solid.faces))
+
+
+def region_of_faces(
+    views: Sequence[View], vertices: Float64[np.ndarray, "v 3"], faces: Int64[np.ndarray, "f 3"]
+) -> Bool[np.ndarray, " f"]:
+    """(F,) the faces of a surface that lie in the receiver's region: most of the told points nearest to their middles do.
+
+    Args:
+        views: cameras that are told the region.
+        vertices: (V, 3) of the surface, world, m.
+        faces: (F, 3).
+    """
+    told, points = (np.concatenate([own(v) for v in views]) for own in (View.told, View.points))
+    if not told.any():
+        return np.zeros(len(faces), bool)
+    votes = min(VOTES, len(points))
+    _, nearest = cKDTree(points).query(vertices[faces].mean(1), np.arange(1, votes + 1))
+    found: NDArray[np.bool_] = 2 * told[nearest].sum(1) > votes
+    return found
+
+
+def views_of(seen: Observation, row: int) -> list[View]:
+    """A trial's cameras where they are believed to stand.
+
+    Args:
+        seen: of N trials.
+        row: which of them.
+    """
+    images, told = seen.object, None if seen.region is None else seen.region[row].cpu().numpy()
+    label, depth = images.label[row].cpu().numpy(), images.depth_m[row].double().cpu().numpy()
+    K, T = (x[row].double().cpu().numpy() for x in (images.K, seen.T_world_camera))
+    masks = label == LABELS.index("object")
+    return [
+        View(depth[c], masks[c], K[c], T[c], None if told is None else told[c])
+        for c in range(len(label))
+    ]
 
 
 def levelled(seen: Observation, row: int) -> tuple[list[View], float]:
     """The cameras, levelled: their tables are one level plane. And its height, m; -inf: no camera shows a table."""
-    images, views, planes = seen.object, [], []
-    label, depth = images.label[row].cpu().numpy(), images.depth_m[row].double().cpu().numpy()
-    for c in range(len(label)):
-        mask = label[c] == LABELS.index("object")
-        smooth = np.where(mask, _averaged(np.where(mask, depth[c], 0.0)), depth[c])
-        K, T = (x[row, c].double().cpu().numpy() for x in (images.K, seen.T_world_camera))
-        views.append(View(smooth, mask, K, T))
-        shown = View(depth[c], label[c] == LABELS.index("table"), K, T).points()
+    views, planes, label = [], [], seen.object.label[row].cpu().numpy()
+    for c, view in enumerate(views_of(seen, row)):
+        mask, depth = view.mask, view.depth_m
+        smooth = np.where(mask, _averaged(np.where(mask, depth, 0.0)), depth)
+        views.append(replace(view, depth_m=smooth))
+        shown = replace(view, mask=label[c] == LABELS.index("table")).points()
         planes.append(_plane(shown) if len(shown) >= LEAST_OF_TABLE else None)
     known = [p for p in planes if p is not None]
     if not known:

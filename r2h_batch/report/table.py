@@ -358,7 +358,7 @@ def _origin(header: Mapping[str, Any]) -> dict[str, str]:
     if (sees := header.get("sees")) is not None:
         origin["methods see"] = (
             f"{sees['rig']}, digest {sees['rig_digest']}, noise {sees['noise']:g}, labels {sees['labels']}, object"
-            f" {sees['object']}, seed {sees['seed']}"
+            f" {sees['object']}, seed {sees['seed']}{', region told' if 'region' in sees else ''}"
         )
     # what methods and planner know, where it differs from the default
     if (hand := (configuration.get("plan") or {}).get("hand", "true")) != "true":

@@ -123,6 +123,8 @@ _Sees = _record(
     labels=Text,
     object=Text,
     seed=Count,
+    # only where the receiver's region is told
+    region=(Text, _ABSENT),
 )
 _Misses = Annotated[list[Annotated[int, Field(ge=0, le=10**9)]], Field(min_length=2, max_length=2)]
 _Robot = _record(name=Name, digest=Hash, ik_missed=(_Misses, _ABSENT))

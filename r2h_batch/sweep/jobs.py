@@ -371,7 +371,8 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
     chosen = options_of(argument, function, known=built_in) if callable(function) else {}
     try:
         signature = inspect.signature(function)
-        more = {"evaluator", "noise", "predictor", "seen"} & signature.parameters.keys()
+        told = {"evaluator", "noise", "predictor", "seen", "T_world_obj"}
+        more = told & signature.parameters.keys()
         if seeing and not built_in:
             more = set()
         if _takes_seed(signature.parameters):
@@ -452,8 +453,14 @@ def _method_job(
             )
         source["predictors"] = json.dumps(methods.about_predictors(), sort_keys=True)
 
+    on_table = "T_world_obj" in takes and "pick" in evaluator.benchmark.asks
+
     def answer(trials: Trials) -> Predictions:
         before = set(sys.modules)
+        if on_table:
+            from r2h_batch.observe.known import known_moments  # cameras too: a third of a second
+
+            extra["T_world_obj"] = known_moments(evaluator.scene).of(trials)
         with on_threads(evaluator.threads):
             function = partial(method.found.function, **extra)
             answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))

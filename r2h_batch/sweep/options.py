@@ -205,7 +205,7 @@ class Flags:
         str,
         Flag(
             "show methods what depth cameras see, and nothing else: cell-v1 or a rig's TOML file, with options "
-            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,seed=1; a method of yours is then predict(seen)",
+            "cell-v1,noise=0.5,labels=eroded,model=known,object=field,region=told,seed=1; your method is then predict(seen)",
             "methods",
         ),
     ] = ""
@@ -661,7 +661,10 @@ def _without_config(
     return flags, path, switched, errors
 
 
-GIVEN = ("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions")
+GIVEN = (
+    *("trials", "scene", "seed", "evaluator", "noise", "predictor", "seen", "instructions"),
+    "T_world_obj",
+)
 """Arguments of a method that the sweep passes; its other keyword arguments are its options:
 `--method contact,gate=ik`."""
 

@@ -11,6 +11,7 @@ from rays_twin import RIG, cell
 from rounds import each
 
 from r2h_batch.base.errors import UserError
+from r2h_batch.methods.predictors import predict_parts
 from r2h_batch.observe.apart import Apart
 from r2h_batch.observe.messages import receive
 from r2h_batch.observe.seeing import look
@@ -59,9 +60,9 @@ def predict(seen, *, place=""):
 
 
 @cache
-def view(model=None):
+def view(model=None, region="hidden"):
     scene, trials, T = cell()
-    return look(scene, trials, RIG, T, model=model)
+    return look(scene, trials, RIG, T, model=model, region=region)
 
 
 def method(tmp_path, text, name="mine"):
@@ -70,37 +71,45 @@ def method(tmp_path, text, name="mine"):
     return f"{file}:predict"
 
 
-@pytest.mark.parametrize("model", [None, "lab"])
-def test_an_observation_comes_out_of_the_pipe_as_it_went_in(model):
-    seen = view(model)
+@pytest.mark.parametrize(("model", "region"), [(None, "hidden"), ("lab", "hidden"), ("lab", "told"), (None, "told")])
+def test_an_observation_comes_out_of_the_pipe_as_it_went_in(model, region):
+    seen = view(model, region)
     again = unpacked(packed(seen))
     assert list(packed(again)) == list(packed(seen))
     for name, array in each(packed(seen).items()):
         assert np.array_equal(packed(again)[name], array) and packed(again)[name].dtype == array.dtype
     assert len(again.known.vertices) == len(again.known.faces) >= 2 if model else again.known is None
     assert isinstance(again, Observation) and len(again[1:3]) == 2
+    if region == "told":
+        assert torch.equal(again[1:3].region, seen.region[1:3])
+        assert torch.equal(again[5:6].cloud_region(99), seen.cloud_region(99)[5:6])
+    else:
+        assert again.region is None
 
 
 @pytest.mark.check
-def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_that_it_can_reach(tmp_path):
+@pytest.mark.parametrize("region", ["hidden", "told"])
+def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_that_it_can_reach(region, tmp_path):
     import pickle
 
     scene, trials, T = cell()
-    place = tmp_path / "found.pickle"
-    Apart(method(tmp_path, SPY, "spy"), {"place": str(place)}, 1).ask(view())
+    place, seen = tmp_path / "found.pickle", view(None, region)
+    Apart(method(tmp_path, SPY, "spy"), {"place": str(place)}, 1).ask(seen)
     found = pickle.loads(place.read_bytes())
     # what it may have is there: so the walk reaches what it is shown
     everything = b"".join(found["arrays"])
-    for shown in each((view().receiver.palm, view().object.depth_m)):
+    own = () if region == "hidden" else (view(None, "told").region[4:5],)
+    for shown in each((seen.receiver.palm, seen.object.depth_m, *own)):
         assert shown[0].numpy().tobytes() in everything
     for i in each(range(len(trials))):
         model, hand = scene.objects[int(trials.object_index[i])], int(trials.hand_index[i])
+        parts = predict_parts(trials[i : i + 1], scene)
         secrets = (
             T[i], T[i].double(), torch.linalg.inv(T[i].double()), trials.T_world_hand[i], trials.receiver[i],
             torch.tensor(model.vertices[:8]), torch.tensor(model.points[:8]), scene.hands.vertices[hand, :8],
-            RIG.T_world_camera[0],
+            RIG.T_world_camera[0], torch.tensor(model.point_part[None]), parts.label, parts.usage,
         )  # fmt: skip
-        for secret in each(secrets):
+        for secret in each(s for s in secrets if len(torch.unique(s)) > 1):  # an object of S0 has no region
             rows = [row for row in secret.reshape(len(secret), -1) if len(torch.unique(row)) > 3] or [secret]
             assert all(row.contiguous().numpy().tobytes() not in everything for row in rows)
         assert not any(model.name.encode() in text for text in found["texts"])

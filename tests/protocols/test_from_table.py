@@ -302,7 +302,8 @@ def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
     trials = judge.benchmark.trials(1)
     below = np.tile(np.eye(4), (2, 1, 1))
     below[:, 2, 3] = 5.0  # out of reach
-    found = picked_grasps(judge.scene, trials, lambda turn: below)
+    rest = moments(judge.scene, trials)
+    found = picked_grasps(judge.scene, trials, rest, lambda turn: below, np.array([3, 3]))
     assert found.count.tolist() == [0, 0]
     assert np.array_equal(found.chosen(np.array([1]), np.array([0.5]), below[:1]), below[:1])
 

@@ -31,6 +31,17 @@ def predict(seen, *, seed=0, height_m=0.0):
     H[:, 2, 3] += height_m
     return T, H
 """
+TOLD = """
+import torch
+
+def predict(seen, *, seed=0):
+    cloud, mask = seen.cloud(512)
+    region = seen.cloud_region(512)
+    # the numbers of points and of region points, as a pose that says them
+    T = torch.eye(4, dtype=torch.float64).repeat(len(seen), 1, 1)
+    T[:, 0, 3], T[:, 1, 3] = mask.sum(1) / 1000, region.sum(1) / 1000
+    return T, T
+"""
 KNOWS = """
 import torch
 
@@ -46,7 +57,7 @@ def predict(seen):
 @pytest.fixture(scope="module")
 def methods(tmp_path_factory):
     folder = tmp_path_factory.mktemp("methods")
-    for name, text in (("grab", GRAB), ("knows", KNOWS)):
+    for name, text in (("grab", GRAB), ("knows", KNOWS), ("told", TOLD)):
         (folder / f"{name}.py").write_text(text)
     (folder / "blind.py").write_text("def predict(trials, scene):\n    return None\n")
     return folder
@@ -144,6 +155,44 @@ def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, m
     assert again.returncode == 2 and "digests (sees)" in again.stderr
 
 
+def test_a_told_region_reaches_the_method_and_such_runs_are_not_paired_with_others(run, methods, tmp_path, capsys):
+    told = tmp_path / "told"
+    assert swept(methods, told, method="told", sees="cell-v1,region=told").returncode == 0
+    own = load_run(told)
+    header = json.loads((told / "run.json").read_text())
+    assert header["sees"]["region"] == "told" and "region" not in run.header["sees"]
+    assert header["digests"]["sees"] == Sees.parse("cell-v1,region=told").digest
+    count = np.array(own.poses("told")["T_world_ee"].to_pylist()).reshape(-1, 4, 4)[:, :2, 3] * 1000
+    assert (count[:, 0] > 300).all() and (count[:5, 1] == 0).all()
+    assert (count[5:, 1] > 20).all() and (count[5:, 1] < count[5:, 0] - 20).all()
+    # what is seen is the same
+    for name in each(("seen_px", "seen_share")):
+        assert own.sees("told")[name].to_pylist() == run.sees("grab")[name].to_pylist()
+    assert table_of(own).origin["methods see"].endswith("seed 0, region told")
+    capsys.readouterr()
+    assert main(["compare", str(run.folder), str(told)]) == 2
+    error = capsys.readouterr().err
+    assert "object unknown, seed 0, cell-v1" in error and "seed 0, region told): their trials cannot be paired" in error
+    untold = swept(methods, tmp_path / "untold", method="told", trials=1)
+    assert "the receiver's region is not told; look with region=told" in untold.stderr
+
+
+def test_runs_of_before_the_option_are_seen_as_they_were():
+    # stored rows name these digests
+    for text, digest in each(
+        (
+            ("cell-v1", "a154ee149bf7f033e8ebee95bd6c3233c06581432ee87ff394d261700f4806b8"),
+            ("cell-v1,region=hidden", "a154ee149bf7f033e8ebee95bd6c3233c06581432ee87ff394d261700f4806b8"),
+            (
+                "cell-v1,model=known,object=rgb,seed=3",
+                "c16e280907ee606895fa3bf7ab8702ff2ab142418d179c5ded70b4073d4a905a",
+            ),
+        )
+    ):
+        assert Sees.parse(text).digest == digest
+    assert Sees.parse("cell-v1,region=told").digest != Sees.parse("cell-v1").digest
+
+
 def test_options_of_the_method_reach_it(methods, tmp_path):
     done = in_process(
         "--method", f"high={methods}/grab.py:predict,height_m=0.2", "--sees", "cell-v1", "--trials", 1, "--splits", "S0",
@@ -164,6 +213,7 @@ def test_options_of_the_method_reach_it(methods, tmp_path):
         ("cell-v1,noise=nan", "--sees: noise is 'nan'; it must be a number from 0 to 5"),
         ("cell-v1,labels=grow", "--sees: labels is 'grow', did you mean grown?"),
         ("cell-v1,object=lab", "add model=known"),
+        ("cell-v1,region=hiden", "--sees: region is 'hiden', did you mean hidden?; allowed are hidden, told"),
         ("cell-v1,seed=0.5", "--sees: seed is '0.5'; it must be a whole number"),
         ("cell-v1,noise=1,noise=1", "--sees: noise is given twice"),
     ],

@@ -150,7 +150,8 @@ def _seeing(header: Mapping[str, Any]) -> str:
     sees = header.get("sees")
     if sees is None:
         return "the truth"
-    return f"{sees['rig']}, noise {sees['noise']:g}, labels {sees['labels']}, object {sees['object']}, seed {sees['seed']}"
+    more = ", region told" if "region" in sees else ""
+    return f"{sees['rig']}, noise {sees['noise']:g}, labels {sees['labels']}, object {sees['object']}, seed {sees['seed']}{more}"
 
 
 def _other_keys(left: Mapping[str, Any], right: Mapping[str, Any]) -> str:

@@ -1,0 +1,249 @@
+"""Rules that choose among grasps that the arm can pick from the table (r2h_batch.methods.from_table)."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+import torch
+from rounds import each
+
+from r2h_batch import load_benchmark
+from r2h_batch.base import se3
+from r2h_batch.config import EvalConfig, ExecConfig, ObjectErrors
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.pick import picked
+from r2h_batch.methods import contact, fc, handover_va, intent, learned, robust
+from r2h_batch.methods.candidates import candidate_table
+from r2h_batch.methods.from_table import MOST_BACK_M, chosen_candidate, first_picked
+from r2h_batch.methods.placing import in_order, least
+from r2h_batch.methods.predictors import PredictorNoise, predict_receiving
+from r2h_batch.methods.robust import Sizes, holding
+from r2h_batch.observe import moments
+from r2h_batch.observe.known import KnownMoments, known_moments
+from r2h_batch.observe.sees import Sees
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.command import main as sweep
+
+METHODS = (fc, handover_va, contact, intent, learned)
+EXACT = PredictorNoise().scaled(0.0)
+N = 8
+
+
+@cache
+def judge():
+    return Evaluator(load_benchmark("r2h-v3-draft"), EvalConfig(execute=ExecConfig(sim="none")))
+
+
+@cache
+def trials():
+    return judge().benchmark.trials(N)
+
+
+@cache
+def rest():
+    return moments(judge().scene, trials())
+
+
+@cache
+def answer(method, on_table=True):
+    return method.predict(trials(), judge().scene, noise=EXACT, T_world_obj=rest() if on_table else None)
+
+
+def is_picked(T_obj_ee, rows):
+    return picked(judge().scene, T_obj_ee.contiguous(), rest()[rows], trials()[rows]).picked
+
+
+@pytest.mark.check
+def test_the_order_is_by_the_first_key_then_the_next_then_the_place_and_begins_with_the_least():
+    a = torch.tensor([[2.0, 1.0, 1.0, 0.0, 1.0], [0.0, 0.0, 0.0, 0.0, 0.0]])
+    b = torch.tensor([[0.0, 3.0, 1.0, 0.0, 1.0], [4.0, 3.0, 3.0, 1.0, 2.0]])
+    pool = torch.tensor([[1, 1, 1, 0, 1], [1, 1, 1, 0, 0]], dtype=torch.bool)
+    order, count = in_order(pool, a, b)
+    assert [row[:n] for row, n in zip(order.tolist(), count.tolist())] == [[2, 4, 1, 0], [1, 2, 0]]
+    assert sorted(order[1].tolist()) == [0, 1, 2, 3, 4]
+    u = torch.from_numpy(np.random.default_rng(0).integers(0, 5, (50, 9)).astype(np.float32))
+    allowed = torch.from_numpy(np.random.default_rng(1).random((50, 9)) < 0.5)
+    assert torch.equal(in_order(allowed, u)[0][:, 0], least(u, allowed, torch.ones_like(allowed)))
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.TITLE)
+def test_rules_take_grasps_that_the_arm_can_pick_and_take_others_when_trials_begin_in_the_gripper(method):
+    told, before = (is_picked(answer(method, on).T_obj_ee, slice(None)) for on in (True, False))
+    assert told.sum() >= 2 * N - 3 and before.sum() <= told.sum() - 4
+
+
+def test_no_candidate_that_fcs_rule_ranks_before_its_choice_can_be_picked():
+    scene, table = judge().scene, candidate_table(judge().scene)
+    found, rows = answer(fc).T_obj_ee, range(0, 2 * N, 3)
+    taking = predict_receiving(trials(), scene, seed=0, noise=EXACT)
+    before, backs = 0, []
+    for i in each(rows):
+        own = slice(
+            *(int(table.first[trials().object_index[i]]) + k for k in (0, int(table.count[trials().object_index[i]])))
+        )
+        T = table.T_obj_ee[own]
+        along = taking.wrist_to_middle[i].double() / taking.wrist_to_middle[i].double().norm()
+        score = (T[:, :3, 2].double() @ along).numpy()
+        turned = (T[:, :3, :3] - found[i, :3, :3]).abs().amax((1, 2)) < 1e-6
+        off = found[i, :3, 3] - T[:, :3, 3]
+        back = -(off * T[:, :3, 2]).sum(1)
+        same = turned & ((off + back[:, None] * T[:, :3, 2]).norm(dim=1) < 1e-6) & (back >= -1e-7)
+        k = int(torch.nonzero(same)[0])
+        backs.append(float(back[k]))
+        assert backs[-1] <= MOST_BACK_M
+        better = np.flatnonzero(score < score[k] - 1e-9)
+        if not len(better):
+            continue
+        some = torch.full((len(better),), i)
+        free = is_picked(T[better], some).numpy()
+        hand = fc.candidates_clear_of(scene, table, trials().object_index[i : i + 1], taking.vertices[i : i + 1], 0.0)
+        assert not (free & hand[0].numpy()[better]).any()
+        before += len(better)
+    assert before > 20 and max(backs) > 1e-4
+
+
+def test_a_learned_pose_holds_the_object_where_the_ranked_pair_did_also_when_the_grasp_is_backed_out(monkeypatch):
+    asked = []
+
+    def kept(scene, part, T_world_obj, grasps, order, usable):
+        found = first_picked(scene, part, T_world_obj, grasps, order, usable)
+        asked.append((grasps, usable, *found))
+        return found
+
+    monkeypatch.setattr(learned, "first_picked", kept)
+    found = learned.predict(trials(), judge().scene, noise=EXACT, T_world_obj=rest())
+    ((grasps, usable, place, T_obj_ee, some),) = asked
+    assert torch.equal(found.T_obj_ee, T_obj_ee) and some.sum() >= N and usable.min() > 1
+    row = torch.arange(2 * N)
+    moved = (T_obj_ee - grasps[row, place]).abs().amax((1, 2)) > 1e-5
+    assert moved.any() and place.max() > 0
+    # pairs of one candidate: the one that was ranked holds the object elsewhere only by the grasp's own change
+    monkeypatch.setattr(learned, "first_picked", lambda *a: (place, grasps[row, place], some))
+    unmoved = learned.predict(trials(), judge().scene, noise=EXACT, T_world_obj=rest())
+    held = (se3.matmul(x.T_world_ee.double(), se3.inverse(x.T_obj_ee.double())) for x in (found, unmoved))
+    assert torch.allclose(*held, atol=1e-6)
+
+
+@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.TITLE)
+def test_rows_have_the_same_bits_alone_and_in_any_order(method):
+    for rows in each((torch.tensor([5]), torch.tensor([11, 2, 7]))):
+        found = method.predict(trials()[rows], judge().scene, noise=EXACT, T_world_obj=rest()[rows])
+        assert torch.equal(found.T_obj_ee, answer(method).T_obj_ee[rows])
+        assert torch.equal(found.T_world_ee, answer(method).T_world_ee[rows])
+
+
+def test_of_no_grasp_that_can_be_picked_the_best_stays_as_it_is():
+    far = torch.eye(4).repeat(2, 3, 1, 1)
+    far[:, :, 2, 3] = torch.tensor([5.0, 6.0, 7.0])
+    order = torch.tensor([[1, 0, 2], [2, 1, 0]])
+    count = torch.tensor([3, 2])
+    _, T, found = first_picked(judge().scene, trials()[:2], rest()[:2], far, order, count)
+    assert found.tolist() == [False, False] and T[:, 2, 3].tolist() == [6.0, 7.0]
+
+
+def test_a_grasp_that_may_not_be_taken_is_not_tried():
+    table = candidate_table(judge().scene)
+    rows, _ = table.rows(trials().object_index[:1])
+    T = table.T_obj_ee[rows]
+    free = is_picked(T[0], torch.zeros(T.shape[1], dtype=torch.int64))
+    k = int(torch.nonzero(free)[0])
+    bad = int(torch.nonzero(~free)[0])
+    two = torch.tensor([[bad, k]])
+    place, _, _ = first_picked(judge().scene, trials()[:1], rest()[:1], T, two, torch.tensor([2]))
+    assert int(place) in (bad, k)
+    far = T.clone()
+    far[0, bad, :3, 3] += 5.0
+    place, T_obj_ee, found = first_picked(judge().scene, trials()[:1], rest()[:1], far, two, torch.tensor([2]))
+    assert (int(place), bool(found)) == (k, True) and torch.equal(T_obj_ee[0], far[0, k])
+    _, _, found = first_picked(judge().scene, trials()[:1], rest()[:1], far, two, torch.tensor([1]))
+    assert not found
+
+
+def test_of_candidates_that_a_rule_forbids_none_is_taken():
+    table = candidate_table(judge().scene)
+    rows, exists = table.rows(trials().object_index[:1])
+    free = is_picked(table.T_obj_ee[rows[0]], torch.zeros(rows.shape[1], dtype=torch.int64)) & exists[0]
+    last = int(torch.nonzero(free)[-1])
+    pool = torch.zeros_like(exists)
+    pool[0, last] = True
+    key = torch.arange(rows.shape[1]).double()[None]
+    for there in each((None, rest()[:1])):
+        T, _ = chosen_candidate(judge().scene, trials()[:1], there, pool, key)
+        assert free.sum() > 1 and torch.equal(T[0], table.T_obj_ee[rows[0, last]])
+
+
+def test_the_gripper_closes_as_far_as_the_chosen_grasp_lets_it(monkeypatch):
+    openings = []
+    real = fc.first_fit
+
+    def seen(scene, poses, opening, *more, **options):
+        openings.append(opening)
+        return real(scene, poses, opening, *more, **options)
+
+    monkeypatch.setattr(fc, "first_fit", seen)
+    found = fc.predict(trials(), judge().scene, noise=EXACT, T_world_obj=rest())
+    held = close_gripper(judge().scene.grasp_tables, found.T_obj_ee, trials().object_index, w_max=0.085)
+    assert torch.equal(torch.cat(openings), held.opening_m)
+
+
+def test_a_sweep_tells_a_method_where_objects_rest_only_if_trials_begin_there(tmp_path):
+    code = tmp_path / "mine.py"
+    code.write_text(
+        "from pathlib import Path\nimport torch\nfrom r2h_batch.methods.random import predict as at_random\n"
+        "def predict(trials, scene, *, seed=0, T_world_obj=None):\n"
+        f"    torch.save(T_world_obj, {str(tmp_path / 'told.pt')!r})\n"
+        "    return at_random(trials, scene, seed=seed)\n"
+    )
+    line = ["--method", f"{code}:predict", "--trials", "2", "--sim", "none"]
+    for name in each(("r2h-v3-draft", "r2h-v2")):
+        assert sweep([*line, "--benchmark", name, "--out", str(tmp_path / name)]) == 0
+        told = torch.load(tmp_path / "told.pt")
+        if name == "r2h-v2":
+            assert told is None
+            continue
+        run = load_run(tmp_path / name)
+        ids = run.trials(run.methods[0])["trial_id"].to_numpy().copy()
+        own = judge().benchmark.trials_with_ids(torch.from_numpy(ids))
+        assert torch.equal(told, moments(judge().scene, own))
+
+
+def test_where_objects_rest_is_no_option_of_a_method(tmp_path, capsys):
+    assert sweep(["--method", "fc,T_world_obj=1", "--trials", "1", "--out", str(tmp_path / "x")]) == 2
+    assert "unknown option 'T_world_obj'" in capsys.readouterr().err
+
+
+def test_moments_that_were_told_count_for_those_trials_alone():
+    known, some = KnownMoments(judge().scene), trials()[:3]
+    there = rest()[:1] @ se3.from_rotation(torch.eye(3), torch.tensor([0.01, 0.0, 0.0]))
+    assert torch.equal(known.of(some), rest()[:3])
+    known.tell(some[:1], there)
+    assert torch.equal(known.of(some), torch.cat([there, rest()[1:3]]))
+    hand = some.T_world_hand[:1].clone()
+    hand[:, 0, 3] += 0.001
+    other = replace(some[:1], T_world_hand=hand)
+    assert torch.equal(known.of(other), moments(judge().scene, other))
+
+
+def test_a_search_with_errors_picks_the_object_where_it_lies_wherever_the_hand_is():
+    evaluator, some = judge(), trials()[:4]
+    found = robust.predict(some, evaluator.scene, evaluator=evaluator, draws=0, rounds=12)
+    sizes = Sizes(ObjectErrors(), PredictorNoise())
+    held = holding(evaluator, some, found.T_obj_ee, found.T_world_ee, sizes, 3, 0)
+    solved = evaluator.score(found.T_obj_ee, found.T_world_ee, some).success
+    assert solved.any() and (held[solved] > 0).all()
+    told = known_moments(evaluator.scene)
+    assert len({k[:8] for k in told._told}) == 4  # each trial was told, with each drawn hand
+    assert all(torch.equal(T, rest()[list(some.trial_id.numpy()).index(np.frombuffer(k[:8], np.int64)[0])])
+               for k, T in each(told._told.items()))  # fmt: skip
+
+
+def test_cameras_see_the_object_where_pick_is_judged_whatever_their_seed():
+    for seed in each((0, 7)):
+        _, T = Sees.parse(f"cell-v1,seed={seed}").look(judge().scene, trials()[:2])
+        assert torch.equal(T, rest()[:2])
+    v2 = Evaluator(load_benchmark("r2h-v2"))
+    some = v2.benchmark.trials(1)
+    two = [Sees.parse(f"cell-v1,seed={seed}").look(v2.scene, some)[1] for seed in (0, 7)]
+    assert not torch.equal(*two)
