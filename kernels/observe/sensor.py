@@ -15,6 +15,9 @@ PLACE = wp.constant(wp.uint32(0))
 FATE = wp.constant(wp.uint32(1))
 STEREO = wp.constant(wp.uint32(2))
 MASK = wp.constant(wp.uint32(3))
+# Philox4x32's multipliers and the steps of its keys; a literal in a kernel is an int32, and the compiler would warn of these
+TIMES_A, TIMES_C = (wp.constant(wp.uint32(x)) for x in (0xD2511F53, 0xCD9E8D57))
+STEP_0, STEP_1 = (wp.constant(wp.uint32(x)) for x in (0x9E3779B9, 0xBB67AE85))
 LOW = wp.constant(wp.uint64(0xFFFFFFFF))
 HALF = wp.constant(wp.uint32(0xFFFF))
 OF_FOUR = wp.constant(float(1.0 / 37837.2271))  # 1 / deviation of a sum of four: 65536 sqrt(4 / 12)
@@ -55,14 +58,14 @@ def random_words(k0: wp.uint32, k1: wp.uint32, trial: wp.int64, pixel: int, purp
     c = wp.uint32(pixel)
     d = purpose << wp.uint32(16)
     for _i in range(10):
-        p = wp.uint64(wp.uint32(0xD2511F53)) * wp.uint64(a)
-        q = wp.uint64(wp.uint32(0xCD9E8D57)) * wp.uint64(c)
+        p = wp.uint64(TIMES_A) * wp.uint64(a)
+        q = wp.uint64(TIMES_C) * wp.uint64(c)
         a = wp.uint32(q >> wp.uint64(32)) ^ b ^ k0
         b = wp.uint32(q & LOW)
         c = wp.uint32(p >> wp.uint64(32)) ^ d ^ k1
         d = wp.uint32(p & LOW)
-        k0 = k0 + wp.uint32(0x9E3779B9)
-        k1 = k1 + wp.uint32(0xBB67AE85)
+        k0 = k0 + STEP_0
+        k1 = k1 + STEP_1
     found = Words()
     found.a = a
     found.b = b

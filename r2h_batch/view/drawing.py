@@ -162,6 +162,11 @@ class Drawing:
             if mark.geom >= 0 and mark.group == "witness":  # MuJoCo draws marks by their group
                 self.model.geom_rgba[mark.geom], self.model.geom_group[mark.geom] = mark.rgba, MARK
 
+    @cached_property
+    def legs(self) -> "tuple[Drawing, ...]":
+        """The legs before the motion, in order."""
+        return tuple(Drawing(leg) for leg in self.stored.before)
+
     def _lift(self, mesh: int) -> None:
         """Grows a mesh by LIFT_M."""
         model = self.model
@@ -218,14 +223,14 @@ class Drawing:
 
     @cached_property
     def fails_at_s(self) -> float | None:
-        """When the motion is seen to fail, s: where Safe fails at the touch, where a given motion collides at its
+        """When the motion is seen to fail, s: where Safe fails at the touch, where a motion collides at its
         deepest overlap, else at rest; None: a success."""
         row = self.stored.row
         if row["outcome"] == "safe" and row.get("witness_time_s") is not None:
             return float(row["witness_time_s"])
         if self._met is not None:
             return self._met[0]
-        if self.witness is None and row["outcome"] not in ("stability", "plan"):
+        if self.witness is None and row["outcome"] not in ("stability", "pick", "plan"):
             return None
         times = self.motion()[0]
         return float(min(row.get("t_exec_s") or times[-1], times[-1]))
@@ -234,14 +239,14 @@ class Drawing:
     def _met(self) -> tuple[float, Witness] | None:
         """Where a motion that collides is deepest in what it meets: its time, and the two bodies."""
         stored = self.stored
-        kind, part = (stored.row.get(k) for k in ("nearest_pair", "witness_plan_part"))
-        if not stored.moves or stored.row["outcome"] != "plan" or not kind:
+        named = {"plan": ("nearest_pair", "witness_plan_part"), "pick": ("pick_pair", "pick_part")}
+        columns = named.get(stored.row["outcome"])
+        if not stored.moves or columns is None:
             return None
-        pairs = [
-            (a, b, k)
-            for a, b, k in self._checked()
-            if k == kind and (not part or self._is_of(a, part) or self._is_of(b, part))
-        ]
+        kind, part = (stored.row.get(k) for k in columns)
+        if not kind:
+            return None
+        pairs = self._pairs(kind, part or "")
         times, q = self.motion()
         some = np.linspace(0, len(q) - 1, min(len(q), MET_POSTURES)).round().astype(int)
         found = [
@@ -256,7 +261,8 @@ class Drawing:
         stored = self.stored
         if stored.row["outcome"] == "stability":
             return None
-        reason = stored.row.get("plan_reason")
+        reason, failed = stored.row.get("plan_reason"), stored.row["outcome"]
+        deciding = "pick" if failed == "pick" else "plan"
         if stored.moves and stored.row["outcome"] == "affordance":
             # the part of the gripper that is nearest to the receiver's part, or deepest in its hull
             region = int(self.model.geom(REGION).id)
@@ -266,28 +272,38 @@ class Drawing:
             if self._met is not None:
                 return self._met[1]
             return self._gap() if stored.row["outcome"] == "reach" else None
-        if reason in ("ik_unreachable", "ik_not_found"):
+        if stored.unreachable:
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
-            away = self._stored_m("plan") or -float(np.linalg.norm(line[1] - line[0]))
+            away = self._stored_m(deciding) or -float(np.linalg.norm(line[1] - line[0]))
             return Witness((), "unreachable", away, line)
         home = reason == "start_in_collision"
         q = np.array(stored.workplace.home_q) if home else stored.target_q
         asked = None if stored.asked is None else stored.asked.nearest
         found = None if asked is None else self._nearest(q, self._pairs_of(asked))
         if found is None:
-            return self._nearest(q, self._checked())
+            return None if failed == "pick" else self._nearest(q, self._checked())
         sees = stored.header["configuration"]["plan"]["hand"] == "estimated"
         estimated = sees and asked is not None and asked.kind in ("hand", "object_hand")
-        return replace(found, least_m=self._stored_m("plan"), estimated=estimated)
+        return replace(found, least_m=self._stored_m(deciding), estimated=estimated)
 
     def _pairs_of(self, asked: Nearest) -> list[tuple[int, int, str]]:
         """The checked pairs of geoms between two bodies that planning names."""
+        if not asked.other:
+            return self._pairs(asked.kind, asked.part)
         sides = ((asked.part, asked.other), (asked.other, asked.part))
         return [
             (g, h, kind)
             for g, h, kind in self._checked()
             if kind == asked.kind and any(self._is_of(g, a) and self._is_of(h, b) for a, b in sides)
+        ]
+
+    def _pairs(self, kind: str, part: str) -> list[tuple[int, int, str]]:
+        """The checked pairs of geoms of a kind, one of them a named body; an empty name: any."""
+        return [
+            (a, b, k)
+            for a, b, k in self._checked()
+            if k == kind and (not part or self._is_of(a, part) or self._is_of(b, part))
         ]
 
     def _is_of(self, geom: int, body: str) -> bool:
@@ -477,7 +493,10 @@ class Drawing:
                 if mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, name) >= 0:
                     surface("witness", name, RED)
             found.append(Mark("witness", RED, points=point, radius_m=0.015, text=text))
-        elif row["outcome"] == "plan":  # nothing is met: the arm does not come to rest there
+        elif row["outcome"] in (
+            "pick",
+            "plan",
+        ):  # nothing is met: the arm does not come to rest there
             found.append(Mark("witness", RED, points=self.event[1][None], radius_m=0.015))
         return tuple(found)
 
@@ -504,7 +523,8 @@ class Drawing:
             turn = data.geom_xmat[geoms].reshape(-1, 3, 3)
             world = local @ turn.swapaxes(1, 2) + data.geom_xpos[geoms, None]
             points.append(world.reshape(-1, 3))
-        return np.concatenate([*points, *([] if close else [self._upper_body()])])
+        legs = () if close else (leg.bounds() for leg in self.legs)
+        return np.concatenate([*points, *legs, *([] if close else [self._upper_body()])])
 
     def _upper_body(self) -> Array:
         """Points (N, 3) of the receiver above the table's top, as the trial begins, world, m; none without a body."""

@@ -362,8 +362,11 @@ def _add_object(
 ) -> None:
     model = stored.object_model
     T = robot.T_wrist3_flange @ robot.T_flange_ee @ np.linalg.inv(stored.T_obj_ee_attached)
+    if stored.resting is not None:
+        T = stored.resting
     inertia = np.asarray(model.inertia, np.float64)
-    body = add_body(wrist, "object", T, float(model.mass), model.com, inertia)
+    parent = wrist if stored.resting is None else spec.worldbody
+    body = add_body(parent, "object", T, float(model.mass), model.com, inertia)
     if stored.header["configuration"]["plan"]["object_collision"] == "hull":
         _add_convex(spec, body, "object/hull", model.hull_vertices)
     else:

@@ -22,9 +22,11 @@ from r2h_batch.view.mjcf import MARK
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 
+LEGS = ("picks", "lifts")
+"""Words for the legs before a motion."""
 STILL = "no motion: the camera turns around the posture"
-AWAY = ("ik_unreachable", "ik_not_found", "start_in_collision", "no_path_in_budget")
-"""Reasons of Plan with which the drawn arm is not at the target, or nothing is met there."""
+AWAY = ("start_in_collision", "no_path_in_budget")
+"""Reasons of Plan with which nothing is met at the target; it is also drawn where it is out of reach."""
 RING = 0.06
 """Radius of the ring about what a failure is seen by, as a share of the picture's height."""
 CLEAR = 0.3
@@ -46,7 +48,7 @@ PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 def still_groups(drawing: Drawing) -> tuple[str, ...]:
     """Marks of a trial without a motion: the target where the arm is not at it, and what is wrong."""
-    away = drawing.stored.row.get("plan_reason") in AWAY
+    away = drawing.stored.unreachable or drawing.stored.row.get("plan_reason") in AWAY
     return ("target", "region", "witness") if away else ("region", "witness")
 
 
@@ -141,10 +143,16 @@ def images(
     aspect = size[0] / size[1]
     with painter(drawing, size, view or view_of([drawing], aspect)) as paint:
         if drawing.stored.moves:
-            moments = drawing.moments(n)
+            legs = [_end(leg, size, view or view_of([drawing], aspect)) for leg in drawing.legs]
+            # a leg ends where the motion begins
+            moments = drawing.moments(max(n - len(legs) + bool(legs), 2))[bool(legs) :]
             return [
-                (paint(q, *drawing.groups(fails=fails)), f"{t:.1f} s") for t, q, fails in moments
-            ]
+                *zip(legs, LEGS, strict=False),
+                *(
+                    (paint(q, *drawing.groups(fails=fails)), f"{t:.1f} s")
+                    for t, q, fails in moments
+                ),
+            ][-n:]
         home, target_q = np.array(drawing.stored.workplace.home_q), drawing.stored.target_q
         at_home = drawing.stored.row.get("plan_reason") == "start_in_collision"
         groups = still_groups(drawing)
@@ -152,6 +160,12 @@ def images(
         found = [(paint(home, *seen), "home"), (paint(target_q, *groups), "target")]
     with painter(drawing, size, view_of([drawing], aspect, close=True)) as paint:
         return [*found, (paint(target_q, *groups), "target, near")][:n]
+
+
+def _end(leg: Drawing, size: tuple[int, int], view: View) -> Image:
+    """Where a leg before the motion ends."""
+    with painter(leg, size, view) as paint:
+        return paint(leg.last)
 
 
 def image_at_end(drawing: Drawing, size: tuple[int, int], *, close: bool = False) -> Image:
@@ -231,7 +245,7 @@ def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int],
     """
     view = view_of(drawings, Caption.of(size, 3).aspect)
     films = [_film(d, size, fps, view) for d in drawings]
-    total = max(len(_times(d, fps)) for d in drawings)
+    total = max(sum(len(_times(leg, fps)) for leg in (*d.legs, d)) for d in drawings)
     with film_writer(out, fps) as write, progress(f"film {out.name}", total, "pictures") as told:
         last = [next(f) for f in films]
         ended = [False] * len(films)
@@ -246,7 +260,9 @@ def write_film(drawings: Sequence[Drawing], out: Path, *, size: tuple[int, int],
 
 def _times(drawing: Drawing, fps: int) -> Array:
     """When the images of a film are, s."""
-    end = drawing.motion()[0][-1] + REST_S if drawing.stored.moves else STILL_S
+    if not drawing.stored.moves:
+        return np.arange(0.0, STILL_S, 1.0 / fps)
+    end = drawing.motion()[0][-1] + (0.0 if drawing.stored.goes_on else REST_S)
     return np.arange(0.0, end, 1.0 / fps)
 
 
@@ -262,15 +278,25 @@ def _film(drawing: Drawing, size: tuple[int, int], fps: int, view: View) -> Iter
             for eye in _around(drawing, letters.aspect, view, at / STILL_S):
                 yield letters.around(paint(q, *still_groups(drawing), view=eye), head, words)
         return
+    fails_s, letters, before_s = drawing.fails_at_s, Caption.of(size, 3), 0.0
+    for leg, does in zip(drawing.legs, LEGS, strict=False):
+        times, motion = leg.motion()
+        with painter(leg, letters.inner, view) as paint:
+            for t in _times(leg, fps):
+                words = [f"{before_s + t:.1f} s", does]
+                yield letters.around(
+                    paint(motion[np.abs(times - t).argmin()], "region"), head, words
+                )
+        before_s += float(times[-1])
     times, motion = drawing.motion()
-    fails_s, letters = drawing.fails_at_s, Caption.of(size, 3)
     decided_s = fails_s if fails_s is not None else float(times[-1])
     if fails_s is not None:  # the one before it becomes that moment
         at[np.searchsorted(at, fails_s, side="right") - 1] = fails_s
     with painter(drawing, letters.inner, view) as paint:
         for t in at:
             fails = fails_s is not None and t >= fails_s
-            words = [f"{min(t, times[-1]):.1f} s", verdict if t >= decided_s else ""]
+            shown_s = before_s + min(t, times[-1])
+            words = [f"{shown_s:.1f} s", verdict if t >= decided_s else ""]
             image = paint(motion[np.abs(times - t).argmin()], *drawing.groups(fails=fails))
             yield letters.around(image, head, words)
 

@@ -72,6 +72,9 @@ class StoredTrial:
     asked: Postures | None = None  # what planning met at the target, where there is no path
     planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
     note: str = ""  # where what was computed again is not what is stored
+    resting: Array | None = None  # T_world_obj of an object that nobody holds yet; None: it is held
+    before: "tuple[StoredTrial, ...]" = ()  # legs before the motion: how the object was picked
+    goes_on: bool = False  # it is such a leg
 
     @property
     def target_q(self) -> Array:
@@ -82,6 +85,12 @@ class StoredTrial:
     def given(self) -> bool:
         """Whether the motion came from a file: joints move at a constant rate between samples."""
         return self.moves and self.row["t_plan_s"] is None
+
+    @property
+    def unreachable(self) -> bool:
+        """Whether no posture reaches the target."""
+        asked = self.row["pick_reason" if self.row["outcome"] == "pick" else "plan_reason"]
+        return asked in ("ik_unreachable", "ik_not_found", "out_of_reach")
 
     @property
     def moves(self) -> bool:
@@ -156,7 +165,8 @@ class Reader:
         if answer is not None and path and "details" in stored:
             own = self.benchmark
             place = (own.objects, own.hand_set, own.robot, own.workplace)
-            return _stored(self.run.header, name, row, path[0], trial, answer, *place)
+            found = _stored(self.run.header, name, row, path[0], trial, answer, *place)
+            return self._whole(found, trial, answer)
         try:
             header, evaluator = self.run.header, self.evaluator
             source = self.run.entry(name).source
@@ -166,7 +176,16 @@ class Reader:
                 f"are not stored, and it cannot answer again ({error}); sweep without --no-poses"
             )
             raise RunError(f"{self.where}: the poses of {name!r} {words}") from error
-        return judged_again(evaluator, trial, answer, name, row=row, header=header)
+        found = judged_again(evaluator, trial, answer, name, row=row, header=header)
+        return self._whole(found, trial, answer)
+
+    def _whole(self, stored: StoredTrial, trial: Trials, answer: Predictions) -> StoredTrial:
+        """The trial with the legs before its motion, where it begins on the table."""
+        if "passed_pick" not in stored.row:
+            return stored
+        from r2h_batch.view.legs import with_legs
+
+        return with_legs(stored, self.evaluator, trial, answer)
 
     @cached_property
     def benchmark(self) -> Benchmark:

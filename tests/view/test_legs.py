@@ -1,0 +1,135 @@
+"""Legs of picking before a stored motion, and the leg in which a pick fails (r2h_batch.view.legs)."""
+
+import numpy as np
+import pytest
+import torch
+from rounds import each
+
+from r2h_batch import load_benchmark
+from r2h_batch.judge.pick import picked
+from r2h_batch.observe import moments
+from r2h_batch.scene.model_parts import VISUAL
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.view import pictures
+from r2h_batch.view.drawing import Drawing, view_of
+from r2h_batch.view.stored import Reader
+
+NEAR_M = 2e-3
+"""Closing moves an object between the pads by this much at most here, and straight ways leave their lines by less."""
+WANTED = ("grasp_collides", "out_of_reach", "no_straight_way")
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory):
+    out = tmp_path_factory.mktemp("legs") / "run"
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "fc", "--trials", "9", "--sim", "none"]
+    assert sweep([*line, "--out", str(out)]) == 0
+    return Reader(out)
+
+
+def rows(reader, method):
+    return reader.rows(reader.method(method)).to_pylist()
+
+
+def passing(reader):
+    return next(r["trial_id"] for r in rows(reader, "fc") if r["passed_pick"] and r["passed_plan"])
+
+
+def object_at(drawing, q):
+    body = drawing.at(q).body("object")
+    return np.append(body.xpos, body.xmat).copy()
+
+
+def test_legs_lead_from_home_to_the_motion_and_take_the_object_along(reader):
+    stored = reader.trial(passing(reader), "fc")
+    drawing = Drawing(stored)
+    picks, lifts = drawing.legs
+    assert np.allclose(picks.stored.q[0], stored.workplace.home_q) and picks.stored.goes_on
+    turn = np.round((picks.stored.q[-1] - lifts.stored.q[0]) / (2 * np.pi)) * 2 * np.pi
+    assert np.allclose(picks.stored.q[-1] - lifts.stored.q[0], turn, atol=2e-3)
+    turn = np.round((lifts.stored.q[-1] - stored.q[0]) / (2 * np.pi)) * 2 * np.pi
+    assert np.allclose(lifts.stored.q[-1] - stored.q[0], turn, atol=1e-6)
+    first, before = (object_at(picks, q) for q in (picks.stored.q[0], picks.stored.q[-1]))
+    assert np.array_equal(first, before)  # nobody holds it
+    taken, up, carried = (
+        object_at(d, q) for d, q in ((lifts, lifts.stored.q[0]), (lifts, lifts.stored.q[-1]), (drawing, stored.q[0]))
+    )
+    assert np.abs(taken - before)[:3].max() < NEAR_M and np.abs(taken - before)[3:].max() < 1e-3
+    assert np.allclose((up - taken)[:3], [0.0, 0.0, 0.1], atol=NEAR_M) and np.allclose(carried, up, atol=1e-5)
+
+
+def test_the_resting_object_lies_at_the_trials_moment_and_the_gripper_comes_open(reader):
+    number = passing(reader)
+    leg = reader.trial(number, "fc").before[0]
+    trial = load_benchmark("r2h-v3-draft").trials_with_ids(torch.tensor([number]))
+    T = moments(reader.evaluator.scene, trial)[0].double().numpy()
+    assert np.array_equal(leg.resting, T) and leg.row["opening_m"] == leg.robot.open_gap_m
+    drawing = Drawing(leg)
+    pads = [drawing.at(leg.q[-1]).geom(f"gripper/{side}_pad").xpos.copy() for side in ("left", "right")]
+    held = Drawing(reader.trial(number, "fc"))
+    closed = [held.at(leg.q[-1]).geom(f"gripper/{side}_pad").xpos.copy() for side in ("left", "right")]
+    assert np.linalg.norm(pads[0] - pads[1]) > np.linalg.norm(closed[0] - closed[1]) + 1e-3
+
+
+def test_where_a_pick_fails_the_posture_and_the_pair_of_its_margin_are_drawn(reader):
+    seen = set()
+    for row in each([r for r in rows(reader, "random") if r["outcome"] == "pick"]):
+        stored = reader.trial(row["trial_id"], "random")
+        drawing, reason = Drawing(stored), row["pick_reason"]
+        if reason in seen:
+            continue
+        seen.add(reason)
+        trial = load_benchmark("r2h-v3-draft").trials_with_ids(torch.tensor([row["trial_id"]]))
+        T_world_obj = moments(reader.evaluator.scene, trial)
+        T = torch.tensor(stored.T_obj_ee, dtype=torch.float32)[None]
+        grasp = picked(reader.evaluator.scene, T, T_world_obj, trial).T_world_ee[0].double().numpy()
+        ee = drawing.at(stored.target_q).site("ee")
+        if reason == "out_of_reach":
+            assert drawing.witness.kind == "unreachable" and stored.unreachable
+            assert drawing.witness.distance_m == pytest.approx(row["margin_pick_m"])
+            assert np.linalg.norm(ee.xpos - grasp[:3, 3]) > 1e-3
+            continue
+        assert not stored.unreachable and not stored.moves and stored.before == ()
+        assert np.allclose(ee.xpos, grasp[:3, 3], atol=1e-4)
+        assert np.allclose(object_at(drawing, stored.target_q)[:3], T_world_obj[0, :3, 3], atol=1e-6)
+        if reason == "grasp_collides":
+            assert drawing.witness.kind == row["pick_pair"] and drawing.witness.distance_m < 0
+            assert row["pick_part"] in str(drawing.witness.geoms)
+            assert drawing.witness.least_m == pytest.approx(row["margin_pick_m"])
+        if reason == "no_straight_way":
+            assert drawing.witness is None and any(m.group == "witness" for m in drawing.marks)
+    assert seen >= {"grasp_collides", "out_of_reach"} and len(seen) >= len(WANTED)
+
+
+def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(reader, monkeypatch):
+    drawing = Drawing(reader.trial(passing(reader), "fc"))
+    words, postures = [], []
+
+    class Told:
+        def __enter__(self):
+            return lambda q, *groups, view=None: postures.append(q) or np.zeros((90, 160, 3), np.uint8)
+
+        def __exit__(self, *_):
+            return None
+
+    monkeypatch.setattr(pictures, "painter", lambda *_: Told())
+    monkeypatch.setattr(pictures.Caption, "around", lambda self, image, head, lines: words.append(lines) or image)
+    view = view_of([drawing], 1.5)
+    frames = list(pictures._film(drawing, (320, 240), 4, view))
+    assert len(frames) == sum(len(pictures._times(d, 4)) for d in (*drawing.legs, drawing))
+    does = [line[1] for line in words]
+    assert does[0] == "picks" and "lifts" in does and does.index("lifts") > 2
+    assert "success" in does[-1] or "fails" in does[-1]
+    seconds = [float(line[0].partition(" ")[0]) for line in words]
+    assert seconds == sorted(seconds)
+    assert np.allclose(postures[0], drawing.stored.workplace.home_q)
+    assert drawing.bounds().shape[0] > drawing.legs[0].bounds().shape[0]
+
+
+def test_strips_begin_with_the_grasp_on_the_table_and_the_lift(reader):
+    drawing = Drawing(reader.trial(passing(reader), "fc"))
+    for n in each((3, 5)):
+        found = pictures.images(drawing, (64, 48), n)
+        assert len(found) == n
+    assert [words for _, words in found][:2] == ["picks", "lifts"] and found[2][1] != "0.0 s"
+    assert drawing.legs[0].model.geom("object/mesh_visual").group == VISUAL
