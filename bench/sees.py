@@ -36,6 +36,7 @@ SEES = {
     "the truth": "",
     "exact images of two posts": "cell-v1,noise=0",
     "two posts": "cell-v1",
+    "two posts, region told": "cell-v1,region=told",
     "two posts, 5 % of masks missed": "cell-v1,labels=missed",
     "two posts, masks grown by 2 pixels": "cell-v1,labels=grown",
     "one post": "left-post.toml",
@@ -48,6 +49,7 @@ METHODS = {
     "FC": "fc", "Handover-VA": "handover-va", "Contact": "contact", "Intent": "intent", "Learned": "learned",
     "robust search": "robust", "plain search": "robust,draws=0", "example": EXAMPLE, "random": "random",
 }  # fmt: skip
+HIDDEN, TOLD = "two posts", "two posts, region told"
 ORACLE = {"robust search": "oracle"}
 """Told the truth, a search has no error to reckon with."""
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
@@ -71,12 +73,12 @@ SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at
 `robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees, `plain search` for a pair that
 succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
 
-No method that sees knows the receiver's region (S1), the searches included: images show no parts, and the benchmark tells nothing
-else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known either. Nor
-do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge
-all of the person.
+No method that sees knows the receiver's region (S1), the searches included{unless}: images show no parts, and the benchmark tells
+nothing else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known
+either. Nor do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and
+Safe judge all of the person.
 
-## Causes
+{told}## Causes
 
 Trials of both splits by their first failure: {causes}.
 
@@ -94,6 +96,19 @@ CPU seconds of a trial, looking and judging included, one method after the other
 of the one before it, and those of images that the process has had before. The example's own process does not count.
 
 {costs}
+"""
+
+
+REGION = """## The receiver's region
+
+With `region=told` methods are told which seen points belong to the part that the receiver wants
+([definition](../observe.md#methods-that-see)). Trials of S1 that only one of two sights solves, with two posts; the
+difference of SR in points and its 95 % interval (Tango 1998, of trials with the same objects).
+
+{table}
+
+In S0 there is no region, and the answers are the same.
+
 """
 
 
@@ -135,7 +150,9 @@ def _shown(words: str, trials: int) -> dict[str, Any]:
                 if line.split != "Avg":
                     sr, new = line.rates["sr"], line.sr_new_categories
                     assert sr is not None and new is not None
+                    split = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
                     found[line.split] = {
+                        "won": "".join(str(int(o == "success")) for o in split),
                         "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
                         "categories": [new.low / 100, new.high / 100],
                     }  # fmt: skip
@@ -164,6 +181,9 @@ def markdown(data: Mapping[str, Any]) -> str:
     categories = ""
     if "categories" in next(iter(shown["the truth"].values()))["S0"]:
         categories = f"\nThe 95 % interval for the mean of all categories of objects, S0 / S1.\n\n{table(ends)}\n"
+    told = ""
+    if TOLD in shown:
+        told = REGION.format(table=_told_table(shown[HIDDEN], shown[TOLD]))
     widths = [d[s]["interval"] for of in shown.values() for d in of.values() for s in ("S0", "S1")]
     return HEAD.format(
         trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
@@ -171,11 +191,28 @@ def markdown(data: Mapping[str, Any]) -> str:
         former=FORMER_WORDS if data["commit"] == FORMER else "",
         table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
         categories=categories,
+        told=told,
+        unless=f", except in the column `{TOLD}`" if TOLD in shown else "",
         causes=" / ".join(CAUSES),
         failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
         picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
         costs=table(lambda d: f"{d['cpu_s']:.2f}"),
     )  # fmt: skip
+
+
+def _told_table(hidden: Mapping[str, Any], told: Mapping[str, Any]) -> str:
+    """A row for each method: trials of S1 that only one of two sights solves, and the paired difference."""
+    from r2h_batch.report.statistics.intervals import paired_score_interval
+
+    lines = []
+    for name in METHODS:
+        before, after = (of[name]["S1"]["won"] for of in (hidden, told))
+        pairs = Counter(zip(before, after, strict=True))
+        more, less = pairs["0", "1"], pairs["1", "0"]
+        low, high = (100 * x for x in paired_score_interval(more, less, len(before)))
+        ends = f"{low:+.0f} to {high:+.0f}"
+        lines.append([name, str(less), str(more), f"{100 * (more - less) / len(before):+.0f}", ends])
+    return markdown_table(["", "hidden alone", "told alone", "told - hidden", "95 %"], lines)
 
 
 def main() -> None:

@@ -12,6 +12,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
 | verdict | `metrics`, `scores` | five criteria (or six) with margins, one outcome |
+| giving | `reception`, `closed_loop/transfer/given` | whether the person can take it, and has it, where the benchmark asks |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
 `_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
@@ -54,12 +55,12 @@ from r2h_batch.judge.inputs import (
     warn_of_no_gradient,
 )
 from r2h_batch.judge.presented import presented
-from r2h_batch.judge.scores import motion_scores, pose_fields, pose_scores, verdict
+from r2h_batch.judge.scores import motion_scores, not_given, pose_fields, pose_scores, verdict
 from r2h_batch.prepared import Prepared
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.training import torch_op
-from r2h_batch.types import PlanReason, ScoreInputs, Scores, Trials
+from r2h_batch.types import GivenScores, PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.judge.pick import Picked
@@ -157,9 +158,10 @@ class Evaluator(Prepared):
                 warnings.warn(words, stacklevel=3)
             # Copies: an optimizer's step in place must not change the stored inputs, from which
             # pictures of these scores are drawn.
-            return scores.with_inputs(
+            scores = scores.with_inputs(
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
+            return scores if stages == "pose" else self._given(scores)
 
     @suggest_names
     def score_motion(
@@ -251,7 +253,17 @@ class Evaluator(Prepared):
             self.moved = True
             if words := self.motion_hint(scores, T_obj_ee, trials, q, time_s, length):
                 warnings.warn(words, stacklevel=3)
-        return scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
+        scores = scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
+        with self.working():
+            return self._given(scores)
+
+    def _given(self, scores: Scores) -> Scores:
+        """The same verdicts once the person has been asked to take what was presented, where the benchmark asks for it."""
+        if not isinstance(scores, GivenScores):
+            return scores
+        from r2h_batch.closed_loop.transfer.given import given
+
+        return given(scores)
 
     def _score_planned(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
@@ -470,6 +482,8 @@ class Evaluator(Prepared):
         found = verdict(metrics.judge(evidence), held, slip_m, valid)
         if picked is not None:
             found["pick"] = torch.stack([picked.reason, picked.pair, picked.body], 1)
+            if "received" in self.benchmark.asks:
+                found |= not_given(len(picked.reason), picked.reason.device)
         return found, nearest
 
     def _picked(

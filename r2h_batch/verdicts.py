@@ -6,7 +6,7 @@ Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers th
 import re
 from collections.abc import Callable
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from r2h_batch.plugins import PluginError, Registry
 
@@ -114,17 +114,25 @@ its module is imported here, so it may import this file and the standard library
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
 
-ASKED = (CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0"),)
+ASKED = (
+    CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0"),
+    CriterionEntry("received", "f_recv", "F_recv", 7, "#6a9a3d", SPLITS, True, since="0.3.0"),
+    CriterionEntry("taken", "f_taken", "F_taken", 8, "#9467bd", SPLITS, False, since="0.3.0"),
+)
 """Criteria that a benchmark asks for (`Benchmark.asks`) beside `CRITERIA`: others judge by none of them. A benchmark asks for
 the first ones."""
+
+UNTIL: tuple[Literal["present", "received", "taken"], ...] = ("present", "received", "taken")
+"""Where a benchmark that asks for `ASKED` may end: with the arm at rest, the first of them, and so on."""
 
 EVERY = (*REGISTRY, *ASKED)
 """All criteria. Place here = column of (B, C) tensors; those of a benchmark that asks for none end with `CRITERIA`."""
 
 ASKED_NAMES = tuple(entry.name for entry in ASKED)
 
-IN_ORDER = (REGISTRY[0], *ASKED, *REGISTRY[1:])
-"""All criteria in the order in which the first failure is looked for: a grasp is held, then picked."""
+IN_ORDER = (REGISTRY[0], ASKED[0], *REGISTRY[1:], *ASKED[1:])
+"""All criteria in the order in which the first failure is looked for: a grasp is held, then picked; what is presented is
+received, then taken."""
 
 PAPER = tuple(entry.name for entry in REGISTRY if not entry.since)
 """Those of the paper: files of the authors' release know no others."""
@@ -205,6 +213,29 @@ class CollidingPair(IntEnum):
     OBJECT_HAND = 4
     OBJECT_TABLE = 5
     OBJECT_ROBOT = 6
+
+
+class ReceiveReason(IntEnum):
+    """Why nobody can take the object: the step of reception that the last of the receiving grasps fails
+    (`judge.reception.STEPS`). WHOLE_WAY: the hand has no free way to any that passes them. NO_GRASP: none is known for
+    this object and hand."""
+
+    OK = 0
+    ARM = 1
+    FREE = 2
+    WAY = 3
+    CLEAR = 4
+    RELEASE = 5
+    HOLD = 6
+    WHOLE_WAY = 7
+    NO_GRASP = 8
+
+
+TRANSFER_ENDS = (
+    *("not_received", "robot_dropped", "taken", "badly_held", "dropped", "torn_out"),
+    *("hand_slipped_off", "not_released", "stuck", "kept", "false_release", "exploded"),
+)
+"""How a transfer ends: the words of `closed_loop.transfer.outcome.Outcome`, in its order."""
 
 
 class PickReason(IntEnum):

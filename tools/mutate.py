@@ -2141,8 +2141,8 @@ MUTATIONS = (
     Mutation(
         "cameras: half a pixel",
         "kernels/observe/rays.py",
-        "corner_in[i, c][0]) + 0.5 * float(stride)",
-        "corner_in[i, c][0])",
+        "corner[0]) + 0.5 * float(stride)",
+        "corner[0])",
         (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
     ),
     Mutation(
@@ -2169,7 +2169,7 @@ MUTATIONS = (
     Mutation(
         "cameras: the upper arm is called the forearm",
         "kernels/observe/rays.py",
-        "what = FOREARM + part",
+        "what = FOREARM + k",
         "what = FOREARM",
         (f"{T_SENSOR}::test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do",),
     ),
@@ -2496,6 +2496,20 @@ MUTATIONS = (
         (f"{T_BELIEVED}::test_errors_of_calibration_are_taken_out_as_far_as_table_and_object_show_them",),
     ),
     Mutation(
+        "rays: the last column of cells that a face may be seen in is left out",
+        "kernels/observe/rays.py",
+        "for u in range(u0 / CELL, u1 / CELL + 1):",
+        "for u in range(u0 / CELL, u1 / CELL):",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
+        "rays: a forearm ends where its last piece does",
+        "r2h_batch/observe/rays.py",
+        "size = 0.5 * se3.dot(along, along).sqrt() + a[:, 3]",
+        "size = 0.5 * a[:, 3]",
+        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+    ),
+    Mutation(
         "rays: tiles of a window are those in which all of the robot is",
         "r2h_batch/observe/rays.py",
         "tiles = (met[1][..., :, None] & met[0][..., None, :]).any(2).flatten(2)",
@@ -2596,7 +2610,7 @@ MUTATIONS = (
     Mutation(
         "draft r2h-v3: pick counts behind all others",
         "r2h_batch/verdicts.py",
-        "IN_ORDER = (REGISTRY[0], *ASKED, *REGISTRY[1:])",
+        "IN_ORDER = (REGISTRY[0], ASKED[0], *REGISTRY[1:], *ASKED[1:])",
         "IN_ORDER = (*REGISTRY, *ASKED)",
         (f"{T_FROM_TABLE}::test_the_first_failure_is_stability_then_pick_then_the_others",),
     ),
@@ -2610,8 +2624,8 @@ MUTATIONS = (
     Mutation(
         "draft r2h-v3: moments of other hands are taken for this one's",
         "r2h_batch/observe/known.py",
-        "trials.hand_index, trials.T_world_hand]\n        decide +=",
-        "trials.hand_index]\n        decide +=",
+        "trials.hand_index, trials.T_world_hand]\n    decide +=",
+        "trials.hand_index]\n    decide +=",
         (f"{T_FROM_TABLE}::test_moments_are_drawn_once_and_are_those_of_any_draw",),
     ),
     Mutation(
@@ -2662,6 +2676,48 @@ MUTATIONS = (
         "torch.where(begun, t_plan_s",
         "torch.where(active, t_plan_s",
         (f"{T_FROM_TABLE}::test_nothing_is_carried_that_was_not_picked",),
+    ),
+    Mutation(
+        "draft r2h-v3: everybody is asked to take it, whatever failed before",
+        "r2h_batch/closed_loop/transfer/given.py",
+        "rows = torch.nonzero(scores.success)[:, 0]",
+        "rows = torch.nonzero(scores.evaluated[:, 0])[:, 0]",
+        (f"{T_FROM_TABLE}::test_received_and_taken_are_what_reception_and_transfer_say_of_what_passed_all_else",),
+    ),
+    Mutation(
+        "draft r2h-v3: the transfer is that of another policy",
+        "r2h_batch/closed_loop/transfer/given.py",
+        "CASE = Case(\"load-share\", \"take\", 0)",
+        "CASE = Case(\"timer\", \"take\", 0)",
+        (f"{T_FROM_TABLE}::test_received_and_taken_are_what_reception_and_transfer_say_of_what_passed_all_else",),
+    ),
+    Mutation(
+        "draft r2h-v3: the margin of taken is the wider of both",
+        "r2h_batch/closed_loop/transfer/given.py",
+        "    return np.minimum(HELD_M",
+        "    return np.maximum(HELD_M",
+        (f"{T_FROM_TABLE}::test_received_and_taken_are_what_reception_and_transfer_say_of_what_passed_all_else",),
+    ),
+    Mutation(
+        "draft r2h-v3: a reason of received names the step before",
+        "r2h_batch/closed_loop/transfer/given.py",
+        "1 + none.to(torch.int8).argmax(1)",
+        "none.to(torch.int8).argmax(1)",
+        (f"{T_FROM_TABLE}::test_what_nobody_can_take_fails_received_and_is_not_simulated",),
+    ),
+    Mutation(
+        "draft r2h-v3: what fails received stays a success",
+        "r2h_batch/judge/scores.py",
+        "        success=put(\"success\", passed, rows),\n",
+        "        success=scores.success,\n",
+        (f"{T_FROM_TABLE}::test_what_nobody_can_take_fails_received_and_is_not_simulated",),
+    ),
+    Mutation(
+        "draft r2h-v3: until present still asks for received",
+        "r2h_batch/protocols/benchmark.py",
+        "asks = ASKED_NAMES[: 1 + UNTIL.index(",
+        "asks = ASKED_NAMES[: 2 + UNTIL.index(",
+        (f"{T_FROM_TABLE}::test_a_benchmark_may_end_before_the_giving",),
     ),
     Mutation(
         "draft r2h-v3: rows of a run without pick have its columns",

@@ -19,6 +19,10 @@ FOREARM = wp.constant(5)
 UPPER_ARM = wp.constant(6)
 TORSO = wp.constant(7)
 TILES = wp.constant(16)
+CELL = wp.constant(2)  # rays of a cell each way
+FACES = wp.constant(64)  # of a mesh that a thread looks at
+SLACK_PX = wp.constant(0.25)
+NEAREST_M = wp.constant(0.05)
 
 
 @wp.struct
@@ -207,13 +211,79 @@ def background(
 
 
 @wp.kernel
+def cover(
+    first: int, cameras: int, blocks: int, columns: int, rows: int, stride: int, focal: float, principal: wp.vec2,
+    camera_in: wp.array(dtype=wp.mat44),
+    corner_in: wp.array2d(dtype=wp.vec2i),  # (n, cameras)
+    mesh_in: wp.array(dtype=wp.uint64), row_in: wp.array(dtype=int), T_in: wp.array(dtype=wp.mat44),  # (n,) which mesh, where
+    cell_out: wp.array2d(dtype=wp.uint8),  # (n, cameras * cells)
+):  # fmt: skip
+    """Cells of windows (`CELL` x `CELL` rays) that the rectangle of a face's projection meets become 1: no ray of another cell
+    meets the mesh. Pixels as in `cast`."""
+    i, p = wp.tid()
+    i += first
+    c = p / blocks
+    mesh = wp.mesh_get(mesh_in[row_in[i]])
+    begin = (p % blocks) * FACES
+    end = wp.min(begin + FACES, mesh.indices.shape[0] / 3)
+    if begin >= end:
+        return
+    T_camera = camera_in[c]
+    R = wp.transpose(rotation(T_camera)) * rotation(T_in[i])
+    t = into(T_camera, origin(T_in[i]))
+    wide = (columns + CELL - 1) / CELL
+    high = (rows + CELL - 1) / CELL
+    start = c * wide * high
+    left = float(corner_in[i, c][0])
+    top = float(corner_in[i, c][1])
+    step = 1.0 / float(stride)
+    for f in range(begin, end):
+        low_u = float(1.0e9)
+        low_v = float(1.0e9)
+        high_u = float(-1.0e9)
+        high_v = float(-1.0e9)
+        anywhere = bool(False)
+        for k in range(3):
+            q = R * mesh.points[mesh.indices[3 * f + k]] + t
+            if q[2] < NEAREST_M:
+                anywhere = bool(True)
+            else:
+                s = focal / q[2]
+                low_u = wp.min(low_u, q[0] * s)
+                high_u = wp.max(high_u, q[0] * s)
+                low_v = wp.min(low_v, q[1] * s)
+                high_v = wp.max(high_v, q[1] * s)
+        # rays whose middles are inside, a little more
+        a = (low_u + principal[0] - left - SLACK_PX) * step - 0.5
+        b = (high_u + principal[0] - left + SLACK_PX) * step - 0.5
+        d = (low_v + principal[1] - top - SLACK_PX) * step - 0.5
+        e = (high_v + principal[1] - top + SLACK_PX) * step - 0.5
+        if anywhere:
+            a = 0.0
+            d = 0.0
+            b = float(columns)
+            e = float(rows)
+        if b >= 0.0 and e >= 0.0 and a <= float(columns) and d <= float(rows):
+            u0 = int(wp.ceil(wp.max(a, 0.0)))
+            v0 = int(wp.ceil(wp.max(d, 0.0)))
+            u1 = int(wp.min(b, float(columns - 1)))
+            v1 = int(wp.min(e, float(rows - 1)))
+            if u0 <= u1 and v0 <= v1:
+                for v in range(v0 / CELL, v1 / CELL + 1):
+                    for u in range(u0 / CELL, u1 / CELL + 1):
+                        cell_out[i, start + v * wide + u] = wp.uint8(1)
+
+
+@wp.kernel
 def cast(
     first: int, cameras: int, columns: int, rows: int, stride: int, focal: float, principal: wp.vec2, far: float,
+    several: int,  # neighbouring columns that a thread takes
     bodies: Bodies,
     camera_in: wp.array(dtype=wp.mat44),  # one a camera, OpenCV axes
     corner_in: wp.array2d(dtype=wp.vec2i),  # (n, cameras) the window's lowest pixel on the sensor
     sensor: wp.vec2i,  # its columns and rows
     tile_in: wp.array3d(dtype=int),  # (n, cameras, TILES^2) of the tiles of the window: bits of the labels that a ray may meet
+    object_cell_in: wp.array2d(dtype=wp.uint8), hand_cell_in: wp.array2d(dtype=wp.uint8),  # as `cover` gives them
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
@@ -226,74 +296,82 @@ def cast(
 
     A row of the output is a trial: its cameras one after the other, each `rows` x `columns` rays, `stride` pixels apart.
     """
-    i, p = wp.tid()
+    i, part = wp.tid()
     i += first
-    pixels = columns * rows
-    c = p / pixels
-    x = float((p % pixels) % columns * stride + corner_in[i, c][0]) + 0.5 * float(stride)
-    y = float((p % pixels) / columns * stride + corner_in[i, c][1]) + 0.5 * float(stride)
-    depth_out[i, p] = 0.0
-    label_out[i, p] = wp.uint8(0)
-    facing_out[i, p] = 0.0
-    if x < 0.0 or y < 0.0 or x > float(sensor[0]) or y > float(sensor[1]):
-        return
+    parts = columns / several
+    c = part / (parts * rows)
+    v = part / parts % rows
+    begin = part % parts * several
     T = camera_in[c]
     o = origin(T)
-    tile = ((p % pixels) / columns * TILES / rows) * TILES + (p % pixels) % columns * TILES / columns
-    here = tile_in[i, c, tile]
-    met = wp.vec2(far, 0.0)
-    what = int(0)
-    at = int(y) * sensor[0] + int(x)
-    if known == 1:
-        what = int(fixed_label_in[c, at])
-        if what + (here >> OBJECT) == 0:
-            return  # nothing is there
-        met = wp.vec2(fixed_t_in[c, at], fixed_facing_in[c, at])
-    d, scale = ray_of(T, x, y, principal, focal)
-    if known == 0:
-        met, what = fixed_met(bodies, here >> ROBOT & 1 == 1, o, d, far)
-    best = met[0]
-    facing = met[1]
-    if here >> OBJECT & 1 == 1:
-        k = object_in[i]
-        hit = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
-        if hit[0] < best:
-            best = hit[0]
-            what = OBJECT
-            facing = hit[1]
-    if here >> HAND & 1 == 1:
-        k = hand_in[i]
-        hit = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
-        if hit[0] < best:
-            best = hit[0]
-            what = HAND
-            facing = hit[1]
-    if here >> FOREARM > 0:
-        for part in range(2):  # from the wrist up: FOREARM, UPPER_ARM
-            if here >> (FOREARM + part) & 1 == 1:
-                upper = first_three(receiver_in[i, 1 - part])
-                lower = first_three(receiver_in[i, 2 - part])
-                radius = receiver_in[i, 1 - part][3]
-                t = capsule_hit(o, d, upper, lower, radius)
-                if t < best:
-                    best = t
-                    what = FOREARM + part
-                    facing = capsule_facing(o + t * d, d, upper, lower, radius)
-    if here >> TORSO & 1 == 1:
-        fx = receiver_in[i, 3][3]
-        fy = receiver_in[i, 4][3]
-        from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)
-        ahead = upright(d, fx, fy)
-        half = first_three(receiver_in[i, 4])
-        t = box_hit(from_middle, ahead, half)
-        if t < best:
-            best = t
-            what = TORSO
-            facing = box_facing(from_middle + t * ahead, ahead, half)
-    if what > 0:
-        depth_out[i, p] = best * scale
-        label_out[i, p] = wp.uint8(what)
-        facing_out[i, p] = facing
+    corner = corner_in[i, c]
+    y = float(v * stride + corner[1]) + 0.5 * float(stride)
+    wide = (columns + CELL - 1) / CELL
+    cells = (c * ((rows + CELL - 1) / CELL) + v / CELL) * wide
+    tiles = (v * TILES / rows) * TILES
+    if y < 0.0 or y > float(sensor[1]):
+        return
+    for u in range(begin, begin + several):
+        p = (c * rows + v) * columns + u
+        x = float(u * stride + corner[0]) + 0.5 * float(stride)
+        if x < 0.0 or x > float(sensor[0]):
+            continue
+        here = tile_in[i, c, tiles + u * TILES / columns]
+        cell = cells + u / CELL
+        here += (int(object_cell_in[i, cell]) << OBJECT) + (int(hand_cell_in[i, cell]) << HAND)
+        met = wp.vec2(far, 0.0)
+        what = int(0)
+        at = int(y) * sensor[0] + int(x)
+        if known == 1:
+            what = int(fixed_label_in[c, at])
+            if what + (here >> OBJECT) == 0:
+                continue  # nothing is there
+            met = wp.vec2(fixed_t_in[c, at], fixed_facing_in[c, at])
+        d, scale = ray_of(T, x, y, principal, focal)
+        if known == 0:
+            met, what = fixed_met(bodies, here >> ROBOT & 1 == 1, o, d, far)
+        best = met[0]
+        facing = met[1]
+        if here >> OBJECT & 1 == 1:
+            k = object_in[i]
+            hit = mesh_met(T_world_obj_in[i], bodies.object_mesh[k], bodies.object_ball[k], o, d, best)
+            if hit[0] < best:
+                best = hit[0]
+                what = OBJECT
+                facing = hit[1]
+        if here >> HAND & 1 == 1:
+            k = hand_in[i]
+            hit = mesh_met(T_world_hand_in[i], bodies.hand_mesh[k], bodies.hand_ball[k], o, d, best)
+            if hit[0] < best:
+                best = hit[0]
+                what = HAND
+                facing = hit[1]
+        if here >> FOREARM > 0:
+            for k in range(2):  # from the wrist up: FOREARM, UPPER_ARM
+                if here >> (FOREARM + k) & 1 == 1:
+                    upper = first_three(receiver_in[i, 1 - k])
+                    lower = first_three(receiver_in[i, 2 - k])
+                    radius = receiver_in[i, 1 - k][3]
+                    t = capsule_hit(o, d, upper, lower, radius)
+                    if t < best:
+                        best = t
+                        what = FOREARM + k
+                        facing = capsule_facing(o + t * d, d, upper, lower, radius)
+        if here >> TORSO & 1 == 1:
+            fx = receiver_in[i, 3][3]
+            fy = receiver_in[i, 4][3]
+            from_middle = upright(o - first_three(receiver_in[i, 3]), fx, fy)
+            ahead = upright(d, fx, fy)
+            half = first_three(receiver_in[i, 4])
+            t = box_hit(from_middle, ahead, half)
+            if t < best:
+                best = t
+                what = TORSO
+                facing = box_facing(from_middle + t * ahead, ahead, half)
+        if what > 0:
+            depth_out[i, p] = best * scale
+            label_out[i, p] = wp.uint8(what)
+            facing_out[i, p] = facing
 
 
 @wp.func

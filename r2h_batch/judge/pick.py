@@ -1,5 +1,5 @@
 """Pick: can the arm take the object from where it rests? From home to 10 cm before the grasp, straight in with the open
-gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; no part of the verdict (docs/pick.md)."""
+gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; a criterion where a benchmark asks for it."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace

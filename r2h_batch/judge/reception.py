@@ -1,5 +1,5 @@
 """Can this person take the object? Which of the held-out receiving grasps the receiver can have, and the
-easiest of them. No part of the verdict.
+easiest of them. Part of the verdict where a benchmark asks for Received (`closed_loop.transfer`).
 
 A grasp counts when it passes every step of `STEPS`. The person may lean; the object is where the robot
 holds it out, and the robot stands at its goal. docs/receivers.md has the definitions, ranges and sources.

@@ -2,8 +2,9 @@
 and witnesses."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -17,7 +18,14 @@ from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
 from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as kernels
-from r2h_batch.types import CollidingPair, Outcome, PickedScores, PlanReason, Scores
+from r2h_batch.types import (
+    CollidingPair,
+    GivenScores,
+    Outcome,
+    PickedScores,
+    PlanReason,
+    Scores,
+)
 from r2h_batch.verdicts import EVERY, IN_ORDER, SPLITS, UNITS
 
 if TYPE_CHECKING:  # paths: a pose's first verdict is there 0.2 s earlier without them
@@ -177,7 +185,55 @@ def pose_scores(trial_id: Int64[Tensor, " b"], found: dict[str, Tensor]) -> Scor
 
 def _kind(found: dict[str, Tensor]) -> type[Scores]:
     """The class of scores that have these fields."""
+    if "receives" in found:
+        return GivenScores
     return PickedScores if "pick" in found else Scores
+
+
+def not_given(b: int, device: torch.device) -> dict[str, Tensor]:
+    """The fields of `GivenScores` of B rows that nobody was asked to take."""
+    none = torch.full((b, 2), -1, dtype=torch.int32, device=device)
+    numbers = torch.full((b, 4), torch.nan, dtype=torch.float32, device=device)
+    return {"receives": none, "ends": none.clone(), "transfer": numbers}
+
+
+def judged_later(
+    scores: GivenScores,
+    criterion: str,
+    rows: Int64[Tensor, " n"],
+    passed: Bool[Tensor, " n"],
+    margin: Float32[Tensor, " n"],
+    kind: Int64[Tensor, " n"],
+) -> GivenScores:
+    """The same verdicts with one more criterion, of rows that have passed all before it.
+
+    Args:
+        scores: B rows.
+        criterion: its name.
+        rows: (N,) which of them are judged by it.
+        passed: (N,) whether it passes.
+        margin: (N,) in its unit.
+        kind: (N,) `MarginKind`.
+    """
+    column, entry = scores.criteria.index(criterion), EVERY[scores.criteria.index(criterion)]
+
+    def put(name: str, value: Any, at: Any = (rows, column)) -> Tensor:
+        field: Tensor = getattr(scores, name).clone()
+        field[at] = value if isinstance(value, bool) else value.to(field.dtype)
+        return field
+
+    near = scores.borderline[rows] | (margin.abs() < UNITS[entry.unit].borderline)
+    failed = torch.where(passed, scores.outcome[rows], int(Outcome[criterion.upper()]))
+    return replace(
+        scores,
+        passed=put("passed", passed),
+        evaluated=put("evaluated", True),
+        margin=put("margin", margin),
+        margin_kind=put("margin_kind", kind),
+        outcome=put("outcome", failed, rows),
+        success=put("success", passed, rows),
+        borderline=put("borderline", near, rows),
+    )
 
 
 @lru_cache(maxsize=16)

@@ -84,8 +84,6 @@ class Bodies:
         tables.object_mesh = scene.object_mesh_ids
         tables.object_ball = balls_of([o.vertices for o in scene.objects], scene.device)
         tables.hand_ball = balls_of(self._skin, scene.device)
-        self._object_balls = [_balls_of_cells(o.vertices, o.faces, FINE_M) for o in scene.objects]
-        self._hand_balls: dict[int, NDArray[np.float64]] = {}
         self._tables = tables
         self._asked: dict[Any, int] = {}
         self._backgrounds: dict[Any, dict[str, Tensor]] = {}
@@ -99,12 +97,9 @@ class Bodies:
                 self._hands[h] = mesh_on(
                     self.scene.device, self._skin[h], self._faces[int(side[h])]
                 )
-                self._hand_balls[h] = _balls_of_cells(
-                    self._skin[h], self._faces[int(side[h])], FINE_M
-                )
             self._hands.move_to_end(h)
         while len(self._hands) > max(KEPT_HANDS, len(needed)):
-            self._hand_balls.pop(self._hands.popitem(last=False)[0])
+            self._hands.popitem(last=False)
         ids = np.zeros(len(self._skin), np.uint64)
         for h, mesh in self._hands.items():
             ids[h] = mesh.id
@@ -160,7 +155,6 @@ class Bodies:
     def _tiles(
         self,
         trials: Trials,
-        T_world_obj: Float32[Tensor, "n 4 4"],
         T_world_camera: Float32[Tensor, "c 4 4"],
         corner_px: Int32[Tensor, "n c 2"],
         *,
@@ -168,9 +162,9 @@ class Bodies:
         sensor_px: tuple[int, int],
         window_px: tuple[int, int],
     ) -> Int32[Tensor, "n c t"]:
-        """The labels of bodies that a ray may meet in each tile of each window, as bits: the rectangle of a ball that holds the
-        body, or a part of it, meets the tile."""
-        device = T_world_obj.device
+        """The labels of robot and person that a ray may meet in each tile of each window, as bits: the rectangle of a ball that
+        holds the body, or a part of it, meets the tile."""
+        device = corner_px.device
         steps = torch.arange(TILES + 1, dtype=torch.float64, device=device) / TILES
         edges = [
             corner_px[..., axis].double()[..., None] + steps * size
@@ -191,20 +185,45 @@ class Bodies:
 
         robot = torch.from_numpy(self._robot_balls).to(device)
         mark("robot", robot[None, :, :3], robot[None, :, 3])
-        for label, balls, index, T in (
-            ("object", self._object_balls, trials.object_index, T_world_obj),
-            ("hand", self._hand_balls, trials.hand_index, trials.T_world_hand),
-        ):
-            own = _balls_of_rows(balls, index.tolist()).to(device)
-            mark(label, se3.apply(T.double()[:, None], own[..., :3]), own[..., 3])
         if (body := trials.receiver) is not None:
             shoulder, elbow, wrist, middle, half = body.double().to(device).unbind(1)
             for label, a, b in (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist)):
-                along = 0.5 * (b - a)[:, :3]
-                size = se3.dot(along, along).sqrt() + a[:, 3]
-                mark(label, (a[:, :3] + along)[:, None], size[:, None])
+                # a ball about each of the pieces of the segment
+                along = (b - a)[:, :3] / PIECES
+                step = torch.arange(PIECES, dtype=torch.float64, device=device) + 0.5
+                middles = a[:, None, :3] + step[:, None] * along[:, None]
+                size = 0.5 * se3.dot(along, along).sqrt() + a[:, 3]
+                mark(label, middles, size[:, None].expand(-1, PIECES))
             size = se3.dot(half[:, :3], half[:, :3]).sqrt()
             mark("torso", middle[:, None, :3], size[:, None])
+        return found
+
+    def _covered(
+        self, placed: Mapping[str, Any], body: str, faces: int, window: Mapping[str, Any]
+    ) -> UInt8[Tensor, "n k"]:
+        """The cells of windows that a mesh's faces may be seen in.
+
+        Args:
+            placed: of `placed`.
+            body: object or hand.
+            faces: the most that one of its meshes has.
+            window: of the kernels.
+        """
+        n, cameras = window["corner"].shape[:2]
+        blocks = -(-faces // FACES)
+        cells = [-(-window[k] // CELL) for k in ("rows", "columns")]
+        T = placed["T_world_obj" if body == "object" else "T_world_hand"]
+        run = over_trials(
+            kernels.cover, n, self.scene.device, sizes={"cell": cameras * cells[0] * cells[1]},
+            width=cameras * blocks, chunk=1,
+        )  # fmt: skip
+        found: Tensor = run(
+            mesh=getattr(placed["bodies"], f"{body}_mesh"),
+            row=placed[body],
+            T=T,
+            blocks=blocks,
+            **window,
+        )["cell"]
         return found
 
     def _background(
@@ -266,22 +285,33 @@ class Bodies:
         pixels, device = cameras * columns * rows, T_world_obj.device
         placed = self.placed(trials, T_world_obj)
         tiles = self._tiles(
-            trials, T_world_obj, T_world_camera, corner_px,
+            trials, T_world_camera, corner_px,
             focal_px=focal_px, sensor_px=sensor_px, window_px=(stride * columns, stride * rows),
         )  # fmt: skip
+        window: dict[str, Any] = {
+            "focal": focal_px, "principal": wp.vec2(0.5 * sensor_px[0], 0.5 * sensor_px[1]),
+            "camera": T_world_camera.contiguous(), "corner": corner_px.contiguous(),
+            "cameras": cameras, "columns": columns, "rows": rows, "stride": stride,
+        }  # fmt: skip
+        objects, hand = self.scene.objects, self._faces.shape[1]
+        faces = max((len(objects[i].faces) for i in set(trials.object_index.tolist())), default=1)
+        cells = {
+            "object_cell": self._covered(placed, "object", faces, window),
+            "hand_cell": self._covered(placed, "hand", hand, window),
+        }
+        # a thread of a CPU takes a row: half of its time went into where each pixel lies
+        several = columns if self.scene.device == "cpu" else 1
         fixed = None
         if stride == 1:
             fixed = self._background(T_world_camera, focal_px, sensor_px, n * pixels)
         shown = fixed or {k: torch.empty((0, 0), dtype=t, device=device) for k, t in FIXED.items()}
         run = over_trials(
             kernels.cast, n, self.scene.device, sizes=dict.fromkeys(("depth", "label", "facing"), pixels),
-            width=pixels, chunk=1,
+            width=pixels // several, chunk=1,
         )  # fmt: skip
         made = run(
-            cameras=cameras, columns=columns, rows=rows, stride=stride, focal=focal_px,
-            principal=wp.vec2(0.5 * sensor_px[0], 0.5 * sensor_px[1]), far=FAR_M,
-            camera=T_world_camera.contiguous(), corner=corner_px.contiguous(), sensor=wp.vec2i(*sensor_px),
-            tile=tiles, known=int(fixed is not None), **{f"fixed_{k}": x for k, x in shown.items()},
+            several=several, far=FAR_M, sensor=wp.vec2i(*sensor_px), tile=tiles, **window, **cells,
+            known=int(fixed is not None), **{f"fixed_{k}": x for k, x in shown.items()},
             **placed,
         )  # fmt: skip
         shape = (n, cameras, rows, columns)
@@ -296,22 +326,12 @@ def bodies_of(scene: Scene) -> Bodies:
 
 TILES = 16
 """Tiles of a window each way, as in the kernel."""
-CELL_M, FINE_M, SLACK_M, SLACK_PX = 0.05, 0.03, 1e-3, 2.0
-"""Sides of the pieces of the robot, and of objects and hands, that rectangles are made of; what bounds are too large by, for
-rounding."""
-
-
-def _balls_of_rows(
-    balls: Mapping[int, NDArray[np.float64]] | Sequence[NDArray[np.float64]], rows: Sequence[int]
-) -> Float64[Tensor, "n k 4"]:
-    """The balls of the mesh of each row; where another row has more, its last one comes again."""
-    used, place = np.unique(rows, return_inverse=True)
-    own = [balls[int(i)] for i in used]
-    most = max(map(len, own), default=1)
-    padded = np.stack(
-        [x[np.minimum(np.arange(most), len(x) - 1)] for x in own] or [np.zeros((most, 4))]
-    )
-    return torch.from_numpy(padded[place])
+CELL, FACES = 2, 64
+"""Rays of a cell each way, and faces that a thread looks at, as in the kernel."""
+PIECES = 6
+"""Pieces of an arm's segment, each with a ball of its own."""
+CELL_M, SLACK_M, SLACK_PX = 0.05, 1e-3, 2.0
+"""Side of the pieces of the robot that rectangles are made of; what bounds are too large by, for rounding."""
 
 
 def _balls_of_cells(

@@ -37,7 +37,7 @@ from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.types import Trials
-from r2h_batch.verdicts import ASKED_NAMES, SPLITS
+from r2h_batch.verdicts import ASKED_NAMES, SPLITS, UNTIL
 
 if TYPE_CHECKING:
     from r2h_batch.evaluate import Evaluator
@@ -77,7 +77,8 @@ class Benchmark:
         listed: trials of a file; None: the rule draws them.
         labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
         seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
-        asks: criteria beside those of all benchmarks: none, or ("pick",), with which the object rests on the table first.
+        asks: criteria beside those of all benchmarks: none, or the first of `ASKED_NAMES`. With pick the object rests on the
+            table first; with received and taken the person takes it in the end.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -115,9 +116,14 @@ class Benchmark:
             raise ValueError(
                 "seed draws other trials, and these are listed; leave one of the two out"
             )
-        instance_of(tuple, f"() or {ASKED_NAMES}")("asks", self.asks)
+        allowed = f"() or the first of {ASKED_NAMES}"
+        instance_of(tuple, allowed)("asks", self.asks)
         if self.asks != ASKED_NAMES[: len(self.asks)]:
-            raise ValueError(f"asks is {self.asks!r:.60}; it must be () or {ASKED_NAMES}")
+            raise ValueError(f"asks is {self.asks!r:.60}; it must be {allowed}")
+        if "received" in self.asks and not self.has_bodies:
+            raise ValueError(
+                f"asks names received, and trials of {self.protocol} have no body; {how}, or until('present')"
+            )
         if self.people is not None and (self.listed is not None or not self.rule.bodies):
             raise ValueError(
                 f"people is {self.people.name}, trials of {self.protocol} have no body; {how}"
@@ -305,6 +311,23 @@ class Benchmark:
             ValueError: it is something else, or trials are listed.
         """
         return replace(self, seed=seed)
+
+    def until(self, stage: str) -> Self:
+        """The same benchmark that ends earlier: nobody is asked to take the object, or nobody is watched while taking it. The
+        trials are the same, the digest is another one.
+
+        Args:
+            stage: `present`: with the arm at rest; `received`: with the reception; `taken`: with the transfer.
+
+        Raises:
+            ValueError: it is another word, or the benchmark does not ask for so much.
+        """
+        asks = ASKED_NAMES[: 1 + UNTIL.index(one_of(*UNTIL)("stage", stage))]
+        if len(asks) > len(self.asks):
+            raise ValueError(
+                f"{self.name} asks for {', '.join(self.asks) or 'none of these'}; until {stage!r} needs {', '.join(asks)}"
+            )
+        return replace(self, asks=asks)
 
     def with_people(self, people: People) -> Self:
         """The same benchmark with other receivers, and hands of theirs.

@@ -57,6 +57,8 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
         ValueError: one line, mostly a `FileError`.
     """
     base = load_benchmark(choice.benchmark or DEFAULT_PROTOCOL, pieces=pieces)
+    if choice.until:
+        base = base.until(choice.until)
     objects = _objects_of(choice.objects, pieces) if choice.objects else base.objects
     build_ahead([call_of(mesh, pieces=pieces) for mesh in choice.object_mesh])
     more = (object_from_argument(mesh, pieces=pieces) for mesh in choice.object_mesh)

@@ -19,6 +19,10 @@ from r2h_batch.protocols.load import names_function
 from r2h_batch.protocols.registry import BENCHMARK
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import ROBOTS
+from r2h_batch.verdicts import UNTIL
+
+IN_HEADER = ("receiver", "until")
+"""Flags whose words run.json has elsewhere: in its configuration, in what its benchmark asks for."""
 
 
 def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: str) -> Benchmark:
@@ -38,7 +42,7 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
     """
     protocol, digests = header["protocol"], header["digests"]
     said = _said(header)
-    if not _files(replace(given, receiver="", turn="")):
+    if not _files(replace(given, receiver="", until="", turn="")):
         given = _found(said, Path(where)) or given
     if said.benchmark in BENCHMARK and not given.benchmark:  # a name is no file
         given = replace(given, benchmark=said.benchmark)
@@ -52,7 +56,12 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
             known = f"this installation has {', '.join(BENCHMARK)}; give its --benchmark"
             raise FileError(f"{where}: benchmark {printable(protocol)!r}; {known}")
         given = replace(given, benchmark=protocol)
-    given = replace(given, receiver=header["configuration"].get("receiver", "hand"))
+    asks = header.get("asks", ())
+    given = replace(
+        given,
+        receiver=header["configuration"].get("receiver", "hand"),
+        until=UNTIL[len(asks) - 1] if asks else "",
+    )
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
     benchmark = edited(given, pieces=pieces)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
@@ -73,9 +82,9 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
 
 
 def _said(header: Mapping[str, Any]) -> BenchmarkChoice:
-    """The flags of the run's sweep as run.json has them, without receiver."""
+    """The flags of the run's sweep as run.json has them, without those that it says elsewhere."""
     pairs = [f[2:].partition(" ") for f in (header.get("benchmark") or {}).get("flags", ())]
-    known = {f.name: f for f in fields(BenchmarkChoice) if f.name != "receiver"}
+    known = {f.name: f for f in fields(BenchmarkChoice) if f.name not in IN_HEADER}
     lists = {name for name, field in known.items() if field.default == ()}
     said: dict[str, Any] = {k.replace("-", "_"): v for k, _, v in pairs}
     values: dict[str, Any] = {}
@@ -139,7 +148,7 @@ def _is_said(flag: str) -> bool:
     """Whether run.json says elsewhere what a flag says: the rule that drew the trials, what was seen of the person."""
     name, _, value = flag.partition(" ")
     named = name == "--benchmark" and value in BENCHMARK
-    return named or name.removeprefix("--") in ("protocol", "receiver")
+    return named or name.removeprefix("--") in ("protocol", *IN_HEADER)
 
 
 def _check_flags(header: Mapping[str, Any], given: BenchmarkChoice, where: str) -> str:

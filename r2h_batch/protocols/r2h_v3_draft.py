@@ -1,4 +1,5 @@
-"""Draft of benchmark r2h-v3: objects, people and hands of r2h-v2, and the arm has to pick the object from the table first.
+"""Draft of benchmark r2h-v3: objects, people and hands of r2h-v2. The arm has to pick the object from the table first, and the
+person has to have it in the end.
 
 Not frozen: trials, criteria and thresholds may change (docs/pick.md).
 """
@@ -9,10 +10,11 @@ from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.draw.reaching import place_reaching
 from r2h_batch.protocols.draw.rule import Rule
 from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
+from r2h_batch.verdicts import ASKED_NAMES
 
 
 @BENCHMARK("r2h-v3-draft")
 def r2h_v3_draft() -> Benchmark:
-    """r2h-v2 with Pick, and trials of its own."""
+    """r2h-v2 with Pick, Received and Taken, and trials of its own."""
     rule = Rule("r2h-v3-draft", place_reaching, bodies=True)
-    return replace(named_benchmark("r2h-v2"), rule=rule, name="r2h-v3-draft", asks=("pick",))
+    return replace(named_benchmark("r2h-v2"), rule=rule, name="r2h-v3-draft", asks=ASKED_NAMES)

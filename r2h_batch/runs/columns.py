@@ -17,6 +17,7 @@ from r2h_batch.verdicts import (
     CriterionEntry,
     PickReason,
     PlanReason,
+    ReceiveReason,
 )
 
 NAME = pa.dictionary(pa.int32(), pa.string())
@@ -36,7 +37,7 @@ class Column(NamedTuple):
         name: in the Parquet file.
         type: in the Parquet file, for an arm of six joints.
         meaning: one or two sentences for docs/run_folder.md.
-        unit: m, s, deg, rad, m/s, years; empty: it has none.
+        unit: m, s, deg, rad, m/s, N, years; empty: it has none.
         nullable: whether a row may lack a value.
         since: the first version of the package that stores it; empty: every version does. Rows of older
             versions are read with null here.
@@ -69,6 +70,17 @@ _REASONS = _words(reason.name for reason in PlanReason)
 def _asked(entry: CriterionEntry) -> str:
     return entry.name if entry.name in ASKED_NAMES else ""
 
+
+TRANSFERS = {
+    "transfer_slip_m": (
+        "slip of the object in the hand; null here and below: it did not happen",
+        "m",
+    ),
+    "transfer_turn_deg": ("its turn in the hand", "deg"),
+    "transfer_pull_n": ("the person's largest pull beyond the weight", "N"),
+    "transfer_s": ("from the beginning of the grip until the gripper is free", "s"),
+}
+"""Columns of `GivenScores.transfer` -> meaning and unit."""
 
 # fmt: off
 _ID = Column("trial_id", pa.int64(), "number of the trial, in the protocol's order", nullable=False)
@@ -111,6 +123,14 @@ TRIALS = (
     Column("pick_pair", NAME, "the pair that Pick's margin is about; null where no two bodies decide", since="0.3.0",
            asked="pick"),
     Column("pick_part", NAME, "robot part of that pair", since="0.3.0", asked="pick"),
+    Column("received_reason", NAME,
+           f"[why the person cannot take it](pick.md#received): {_words(r.name for r in ReceiveReason)}; null: not judged",
+           since="0.3.0", asked="received"),
+    Column("received_grasps", pa.int32(), "receiving grasps that pass every step", since="0.3.0", asked="received"),
+    Column("transfer_end", NAME, "[how the transfer ends](transfer.md#outcomes); null: not simulated", since="0.3.0",
+           asked="taken"),
+    Column("transfer_undecided", BOOL, "that hangs on less than the model knows", since="0.3.0", asked="taken"),
+    *(Column(name, FLOAT, meaning, unit, since="0.3.0", asked="taken") for name, (meaning, unit) in TRANSFERS.items()),
     Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
     Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
     Column("presented", BOOL,

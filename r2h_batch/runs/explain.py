@@ -21,6 +21,28 @@ REASONS = {
     "no_free_posture_found": "every posture found at the target collides",
 }
 """Plan's reasons in words."""
+RECEIVES = {
+    "arm": "no grasp is within the person's joints",
+    "free": "the hand would meet the closed gripper",
+    "way": "the hand's last 10 cm are blocked",
+    "clear": "the arm or the torso would meet the robot",
+    "release": "the fingers could not open, or not back off",
+    "hold": "the hand could not carry it",
+    "whole_way": "the hand's way from where it waits is blocked",
+    "no_grasp": "no grasp of this hand is known",
+}
+"""Why nobody can take the object, in words: what the last of the receiving grasps fails."""
+ENDS = {
+    "robot_dropped": "it slips out of the closed gripper before anybody grips it",
+    "badly_held": "the person has it, but it slipped or turned in the hand",
+    "dropped": "the gripper let go, and the hand lost it",
+    "torn_out": "the gripper lost it, and did not let go",
+    "hand_slipped_off": "the hand lost it, and the gripper holds it",
+    "not_released": "the gripper did not let go, and the person gave up",
+    "stuck": "the gripper let go, and it hangs on the fingers",
+    "exploded": "the simulation failed",
+}
+"""How a transfer fails, in words."""
 PICKS = {
     "out_of_reach": "the arm cannot reach the grasp where the object rests",
     "grasp_collides": "the open gripper meets something at the grasp",
@@ -93,6 +115,8 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         why = PICKS.get(str(row.get("pick_reason")), "")
         met = f" ({found})" if (found := _pick_pair(row)) else ""
         return f"{words}{why}{met}{f', by {by}' if by else ''}".rstrip(" :,")
+    if outcome in ("received", "taken"):
+        return f"{words}{_giving_fails(row, outcome)}".rstrip(" :,")
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is None:
@@ -103,6 +127,18 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if text is None or not by:
         return f"{words}{text or ''}".rstrip(" :,")
     return f"{words}{text}, by {by}"
+
+
+def _giving_fails(row: Mapping[str, Any], outcome: str) -> str:
+    """Why nobody can take the object, or how taking it ends, in words, with the numbers that say how far it was."""
+    if outcome == "received":
+        return RECEIVES.get(str(row.get("received_reason")), "")
+    end = str(row.get("transfer_end"))
+    slip, turn = (row.get(k) for k in ("transfer_slip_m", "transfer_turn_deg"))
+    known = slip is not None and turn is not None and end in ("badly_held", "dropped")
+    far = f" ({1e3 * slip:.0f} mm, {turn:.0f} deg)" if known else ""  # type: ignore[operator]
+    unsure = ", undecided" if row.get("transfer_undecided") else ""
+    return f"{ENDS.get(end, '')}{far}{unsure}"
 
 
 def _pick_pair(row: Mapping[str, Any]) -> str:
@@ -200,6 +236,10 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         return f"{words}{f' ({body_name(str(part))})' if part else ''}{which}"
     if criterion == "pick":
         return _pick_pair(row)
+    if criterion == "received":
+        return "the receiving grasps of this object and hand"
+    if criterion == "taken":
+        return "the simulated transfer: load-share, take, person 0"
     if criterion == "reach":
         return "the object's nearest point to the ball in front of the palm"
     return "the fingers and the receiver's part" if criterion == "affordance" else ""
@@ -218,6 +258,10 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
         return _plan_passes(row, by)
     if criterion == "pick":
         return "a grasp that the table, the person and the arm leave room for"
+    if criterion == "received":
+        return "a handover pose that leaves the hand a grasp and a way to it"
+    if criterion == "taken":
+        return "a grasp that both hands hold under the weight and the pull"
     if by is None:
         return ""
     if criterion == "reach":

@@ -7,18 +7,29 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.runs.columns import BOOL, DETAILS, ENDS, TRIALS, Column, later, schema_of_kind
+from r2h_batch.runs.columns import (
+    BOOL,
+    DETAILS,
+    ENDS,
+    TRANSFERS,
+    TRIALS,
+    Column,
+    later,
+    schema_of_kind,
+)
 from r2h_batch.verdicts import (
     EVERY,
     PERSON,
     SEXES,
     SIDES,
     SPLITS,
+    TRANSFER_ENDS,
     CollidingPair,
     MarginKind,
     Outcome,
     PickReason,
     PlanReason,
+    ReceiveReason,
 )
 
 if TYPE_CHECKING:  # readers of rows need no torch
@@ -166,6 +177,17 @@ def score_rows(
         columns["pick_reason"] = _named(reason, [r.name.lower() for r in PickReason])
         columns["pick_pair"] = _named(np.where(met == CollidingPair.NONE, -1, met), pairs)
         columns["pick_part"] = _named(part, names.parts)
+    if "received" in scores.criteria:
+        (reason, grasps), (end, undecided) = (
+            _array(vars(scores)[k]).T for k in ("receives", "ends")
+        )
+        columns["received_reason"] = _named(reason, [r.name.lower() for r in ReceiveReason])
+        columns["received_grasps"] = pa.array(grasps, pa.int32(), mask=grasps < 0)
+        columns["transfer_end"] = _named(end, TRANSFER_ENDS)
+        columns["transfer_undecided"] = pa.array(undecided > 0, BOOL, mask=undecided < 0)
+        columns |= dict(
+            zip(TRANSFERS, map(_floats, _array(vars(scores)["transfer"]).T), strict=True)
+        )
     for i, entry in enumerate(EVERY[: passed.shape[1]]):
         c = entry.name
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])

@@ -109,6 +109,13 @@ class Flags:
             "trials",
         ),
     ] = ""
+    until: Annotated[
+        Literal["", "present", "received", "taken"],
+        Flag(
+            "where trials of r2h-v3-draft end: present (nobody takes the object), received, or taken; default: the benchmark's",
+            "trials",
+        ),
+    ] = ""
     trials_file: Annotated[str, Flag("your own trials, .npz or .parquet", "trials")] = ""
     benchmark: Annotated[
         str,

@@ -515,7 +515,7 @@ class Drawing:
             geoms += [m.geom for m in self.marks if m.group == "target"]
         _, q = self.motion()
         some = np.linspace(0, len(q) - 1, min(len(q), BOUNDS_POSTURES)).round().astype(int)
-        home = np.array(self.stored.workplace.home_q)
+        home = self.stored.start
         local = model.geom_aabb[geoms, None, :3] + corners * model.geom_aabb[geoms, None, 3:]
         points = []
         for posture in [self.event[0]] if close else [home, *q[some]]:

@@ -87,6 +87,12 @@ class StoredTrial:
         return self.moves and self.row["t_plan_s"] is None
 
     @property
+    def start(self) -> Array:
+        """Where the trial's motion begins, rad: at home, or where the arm has lifted the object from the table."""
+        carried = self.moves and "passed_pick" in self.row
+        return self.q[0] if carried else np.array(self.workplace.home_q)
+
+    @property
     def unreachable(self) -> bool:
         """Whether no posture reaches the target."""
         asked = self.row["pick_reason" if self.row["outcome"] == "pick" else "plan_reason"]

@@ -8,10 +8,10 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs import load_run
 from r2h_batch.runs.explain import explained, headline
 from r2h_batch.runs.files import RunError
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, Outcome
 
 LIMITS = {"w_min_m": 0.002, "w_max_m": 0.085, "reach_radius_m": 0.1}
-OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, 8, 0, 1, 4, 5])
+OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, int(Outcome.INVALID_SIM), 0, 1, 4, 5])
 
 
 def row(outcome, margin_m, **more):

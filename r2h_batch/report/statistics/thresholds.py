@@ -192,7 +192,12 @@ class _Margins:
         outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
         if (outcome < 0).any():
             count = int((outcome < 0).sum())
-            raise ValueError(f"{count} rows pass, but a criterion was not evaluated")
+            words = f"{count} rows pass, but a criterion was not evaluated"
+            if "received" in self.judged:  # asked of what passes all else alone
+                words += (
+                    "; these rows allow stricter thresholds only, or sweep with --until present"
+                )
+            raise ValueError(words)
         counts = np.zeros((len(SPLITS), MISSING + 1), np.int64)
         np.add.at(counts, (self.split, outcome), 1)
         return counts, int(near.sum())

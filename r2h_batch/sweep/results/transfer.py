@@ -86,7 +86,8 @@ NOTES = (
     " presses and does not grip; nobody: nobody comes. There kept is right.",
     "Medians: share of the weight that the person carries when the policy lets go; seconds from the beginning of the grip"
     " until the gripper is free; the pull beyond the weight; slip and turn in the hand. Times are inputs, not validated.",
-    "No part of SR. No success rate of real people, no statement about pain or safety (docs/transfer.md).",
+    "No part of SR, but where the benchmark asks for Taken. No success rate of real people, no statement about pain or"
+    " safety (docs/transfer.md).",
 )
 
 

@@ -138,7 +138,7 @@ def protocol(run: Run, reader: Reader, method: str, trial: int | None) -> tuple[
     if not stored.moves:
         words = f"does not move ({verdict_of(stored)}); choose another --trial"
         raise ValueError(f"trial {trial} of {method!r} {words}")
-    home = np.array(stored.workplace.home_q)
+    home = stored.start
     moments = drawing.moments(4)[1:]
     with painter(drawing, SIZE, view_of([drawing], aspect)) as paint:
         panels: list[Panel] = [(paint(home), "start"), (paint(home, "target"), "target")]

@@ -9,10 +9,11 @@ from made_runs import write_run
 from r2h_batch.__main__ import main
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
+from r2h_batch.verdicts import Outcome
 from r2h_batch.view.gallery import pictures
 from r2h_batch.view.gallery.pictures import first_of_each_outcome
 
-OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, 8, 0, 1, 4, 5])
+OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, int(Outcome.INVALID_SIM), 0, 1, 4, 5])
 
 
 @pytest.fixture(scope="module")
