@@ -8,7 +8,6 @@ from typing import TypeVar
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.learning.ahead import Ahead
-from r2h_batch.learning.regions import Instances, with_regions
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.family_objects import PREFIX, Planned, family_objects, planned_objects
 from r2h_batch.scene.objects import (
@@ -19,6 +18,8 @@ from r2h_batch.scene.objects import (
     checked_objects,
     load_objects,
 )
+
+Instances = tuple[ObjectModel, ...]
 
 
 @dataclass(frozen=True)
@@ -47,7 +48,7 @@ class Source:
         return tuple(self.ahead.planned[k].name for group in self.groups for k in group)
 
     def group(self, number: int) -> Instances:
-        """The objects of a group, in their order.
+        """The objects of a group, in their order, without those with other regions.
 
         Args:
             number: counts groups.
@@ -57,7 +58,7 @@ class Source:
         """
         found = self.own if self.ahead is None else self.ahead.objects(self.groups[number])
         refuse_tested(self.benchmark, found)
-        return with_regions(found, self.regions) if self.regions else found
+        return found
 
 
 def sources(

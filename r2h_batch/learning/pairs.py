@@ -22,8 +22,8 @@ from r2h_batch.base.validate import (
     sequence_of,
 )
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.learning.instances import Source, sources
-from r2h_batch.learning.regions import MOST_REGIONS, Instances
+from r2h_batch.learning.instances import Instances, Source, sources
+from r2h_batch.learning.regions import MOST_REGIONS, with_regions
 from r2h_batch.methods.candidates import without_candidates
 from r2h_batch.methods.ranker.observe import Seen, observe
 from r2h_batch.methods.ranker.proposals import NUMBERS, propose
@@ -68,6 +68,8 @@ class World:
             group: which of them.
         """
         objects = source.group(group)
+        if source.regions:
+            objects = with_regions(objects, source.regions)
         own = source.benchmark.with_objects(objects)
         evaluator = own.evaluator(threads=1)
         if none := without_candidates(evaluator.scene):
