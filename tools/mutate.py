@@ -2500,7 +2500,7 @@ MUTATIONS = (
         "kernels/observe/rays.py",
         "for u in range(u0 / CELL, u1 / CELL + 1):",
         "for u in range(u0 / CELL, u1 / CELL):",
-        (f"{T_RAYS}::test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes",),
+        (f"{T_RAYS}::test_a_pixel_shows_the_same_in_every_window_wherever_the_window_begins",),
     ),
     Mutation(
         "rays: a forearm ends where its last piece does",

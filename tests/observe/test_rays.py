@@ -251,3 +251,26 @@ def test_a_rig_file_sees_what_the_rig_of_its_numbers_sees(tmp_path):
     )
     (tmp_path / "mine.toml").write_text(f'name = "cell-v1"\n{cameras}')
     assert load_rig(tmp_path / "mine.toml").digest == CELL_V1.digest
+
+
+def test_a_pixel_shows_the_same_in_every_window_wherever_the_window_begins():
+    scene, trials, T = cell()
+    at = window_corners(RIG, middles(scene, trials, T), 96)
+
+    def shown(shift):
+        return bodies_of(scene).cast(
+            trials,
+            T,
+            RIG.T_world_camera,
+            at + shift,
+            focal_px=RIG.focal_px,
+            sensor_px=RIG.sensor_px,
+            columns=96,
+            rows=96,
+        )
+
+    first = shown(0)
+    assert int((first[1] == LABELS.index("object")).sum()) > 1000
+    for shift in each((1, 3)):
+        for a, b in each(zip(first, shown(shift), strict=True)):
+            assert torch.equal(a[..., shift:, shift:], b[..., :-shift, :-shift])
