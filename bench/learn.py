@@ -8,6 +8,9 @@ from bench/results/learn.json.
 
 import argparse
 import json
+import os
+import shutil
+import subprocess
 import sys
 import time
 from collections import Counter, defaultdict
@@ -60,6 +63,19 @@ OWN_TRIALS, REGION_TRIALS = 400, 500
 """Trials with these instances as they are, and with regions at random."""
 OTHER_ID = 1 << 50
 """The first id of trials that no benchmark and no training of this bench has."""
+COSTLY = "families:* x 2 seed 71"
+"""Instances whose cost is measured."""
+SHORT = (
+    *("--families", "* x 2 seed 72", "--regions", "1", "--items", "6", "--steps", "400"),
+    *("--rounds", "1", "--mined-items", "2", "--mined-steps", "100"),
+)
+"""A training of the notebook's size."""
+TRAININGS = {
+    "one process": ("--workers", "0"),
+    "two processes": ("--workers", "1"),
+    "two processes, --renew 3": ("--workers", "1", "--renew", "3"),
+}
+SAME_WEIGHTS = ("one process", "two processes")
 VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
 VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
 """Steps on what cameras saw; trials of a split, and what is seen in them."""
@@ -70,7 +86,12 @@ FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
-"""Shipped rows whose objects receivers try to take."""
+"""Shipped rows whose objects receivers try to take; the first is compared with the second."""
+TRANSFER = ("load-share", "take", 0)
+"""Release policy, scenario and person of the transfers, as `r2h-batch results transfer` has them by default."""
+HANDED = ("received", "received and success", "taken", "taken and success")
+SPREAD = ("S0", "S1", "S0+S1")
+"""Splits that a row of the table is of."""
 
 
 def trained(place: Path, seed: int, leave_out: Sequence[str], **other: Any) -> tuple[Path, dict[str, float]]:
@@ -178,27 +199,87 @@ def step_profile(place: Path) -> dict[str, float]:
     return {"ms a step": every / 1000 / STEPS} | {k: v for k, v in shares.items() if v > 3}
 
 
-def received(folder: Path, trials: int) -> dict[str, dict[str, float]]:
-    """Percent of the stored rows' first trials that receivers could take, and that succeed too, of each method and split."""
-    import reception
-
+def handed_over(folder: Path, trials: int) -> dict[str, Any]:
+    """Ends of the stored rows' first trials of each split: received, taken, each also with success; of both methods, and
+    paired on the trial."""
+    from r2h_batch.closed_loop.transfer.cases import Case, Simulator, processes
+    from r2h_batch.closed_loop.transfer.handed import handed_of
+    from r2h_batch.closed_loop.transfer.model import Setting
+    from r2h_batch.judge.reception import reception
     from r2h_batch.report.compare.stored import load_baselines
+    from r2h_batch.sweep.results.reception import judged_again
     from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.transfer import table_of
 
-    run, found = load_baselines(folder).only(BESIDE), {}
+    run = load_baselines(folder).only(BESIDE)
     judge = Judge(run)
-    asked, tables = judge.trials(np.arange(2 * trials)), reception.tables_of(run, judge, trials)
-    split = np.array(asked.splits)
-    for name, table in tables.items():
-        rows = {row["trial_id"]: row for row in table.select(["trial_id", "received", "success"]).to_pylist()}
-        own = [rows.get(i, {"received": False, "success": False}) for i in asked.trial_id.tolist()]
-        both = np.array([(bool(r["received"]), bool(r["received"] and r["success"])) for r in own])
-        found[name.partition(" (")[0]] = {
-            f"{s} {what}": 100 * float(both[split == s, k].mean())
-            for s in ("S0", "S1")
-            for k, what in enumerate(("received", "and success"))
-        }
-    return found
+    scene, asked = judge.evaluator.scene, judge.trials(np.arange(2 * trials))
+    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
+    ends: dict[str, dict[str, np.ndarray]] = {}
+    with processes(simulator, 1) as transfer:
+        for name in sorted(run.methods, key=lambda n: [n.lower().startswith(word) for word in BESIDE], reverse=True):
+            own = {k: np.zeros(2 * trials, bool) for k in ("success", "received", "taken", "undecided")}
+            for trial_id, scores, won in judged_again(run, name, judge):
+                first = np.flatnonzero(trial_id < 2 * trials)
+                some = scores[torch.from_numpy(first)]
+                own["success"][trial_id[first]] = [won[i] for i in trial_id[first].tolist()]
+                assert some.inputs is not None
+                handed = handed_of(reception(some), trial_id[first], some.inputs.trials, scene)
+                own["received"][handed.trial_id] = True
+                for rows, made in transfer([handed], [Case(*TRANSFER)]):
+                    table = table_of(rows, made, won)
+                    own["taken"][rows.trial_id] = [o == "taken" for o in table["outcome"].to_pylist()]
+                    own["undecided"][rows.trial_id] = table["undecided"].to_pylist()
+            ends[name.partition(" (")[0]] = own | {
+                f"{k} and success": own[k] & own["success"] for k in ("received", "taken")
+            }
+            print(name, {k: int(v.sum()) for k, v in own.items()}, flush=True)
+    splits = np.array(asked.splits)
+    kinds = np.array([scene.objects[i].category for i in asked.object_index.tolist()])
+    rates = {
+        name: {s: {k: over_categories(own[k], splits, kinds, s) for k in HANDED} for s in SPREAD}
+        for name, own in ends.items()
+    }
+    ours, theirs = ends.values()
+    paired = {s: {k: paired_over_categories(ours[k], theirs[k], splits, kinds, s) for k in HANDED} for s in SPREAD}
+    undecided = {name: int(own["undecided"].sum()) for name, own in ends.items()}
+    return {"of": trials, "rates": rates, "paired": paired, "undecided": undecided}
+
+
+def over_categories(hit: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str) -> list[float]:
+    """Percent of the trials of some splits, mean of the splits, and the ends of its 95 % interval for all categories."""
+    from r2h_batch.report.statistics.aggregate import clustered_rate, mean_rate
+
+    found = []
+    for split in only.split("+"):
+        names, place = np.unique(kinds[splits == split], return_inverse=True)
+        rate = clustered_rate(np.bincount(place, hit[splits == split], len(names)), np.bincount(place))
+        assert rate is not None, f"{split} has one category"
+        found.append(rate)
+    rate = mean_rate(found)
+    return [rate.percent, rate.low, rate.high]
+
+
+def paired_over_categories(
+    a: np.ndarray, b: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str
+) -> dict[str, float]:
+    """Difference of two methods on the same trials, points, its 95 % interval for all categories (`r2h-batch compare`: 95 % all),
+    and how many trials only one of them has."""
+    from r2h_batch.report.statistics.intervals import over_clusters, paired_score_interval
+
+    rows = np.isin(splits, only.split("+"))
+    more, strata = a.astype(float) - b, []
+    for split in only.split("+"):
+        own = splits == split
+        _, place = np.unique(kinds[own], return_inverse=True)
+        strata.append((np.bincount(place, more[own]), np.bincount(place)))
+    spread = float(np.var(more[rows]))
+    over = over_clusters(strata, spread)
+    assert over is not None
+    first, second, n = int((a & ~b)[rows].sum()), int((b & ~a)[rows].sum()), int(rows.sum())
+    least, (low, high) = paired_score_interval(first, second, n), over.ends()
+    ends = 100 * min(low, least[0]), 100 * max(high, least[1])
+    return {"points": 100 * over.value, "low": ends[0], "high": ends[1], "only first": first, "only second": second}
 
 
 def generator(place: Path) -> dict[str, Any]:
@@ -207,6 +288,67 @@ def generator(place: Path) -> dict[str, Any]:
     from train_generator import main
 
     return main(["--out", str(place / "generator")])
+
+
+def policy() -> dict[str, Any]:
+    """The result of examples/learn_ppo.py as it is printed."""
+    sys.path.insert(0, str(ROOT / "examples"))
+    from learn_ppo import main
+
+    return main([])
+
+
+def instance_cost(place: Path) -> dict[str, float]:
+    """CPU seconds of an instance with its grasp candidates: drawn anew, and read from disk."""
+    from r2h_batch import load_benchmark
+    from r2h_batch.methods.candidates import candidates_of
+    from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
+
+    robot = load_benchmark("r2h-v2").robot
+    before = os.environ.get("R2H_BATCH_CACHE")
+    found = {}
+    try:
+        os.environ["R2H_BATCH_CACHE"] = str(place / "cache of instances")
+        shutil.rmtree(place / "cache of instances", ignore_errors=True)
+        candidates_of(
+            (planned_objects("families:cup x 1 seed 70")[0].drawn(),), "filtered", robot
+        )  # kernels are compiled
+        for name in ("drawn anew", "from disk"):
+            drawn_instance.cache_clear()
+            planned = planned_objects(COSTLY)
+            start = time.process_time()
+            objects = [one.drawn() for one in planned]
+            mesh = time.process_time()
+            for one in objects:
+                candidates_of((one,), "filtered", robot)
+            end = time.process_time()
+            found[name] = (end - start) / len(planned)
+            found[f"{name}, candidates"] = (end - mesh) / len(planned)
+    finally:
+        os.environ.pop("R2H_BATCH_CACHE")
+        if before is not None:
+            os.environ["R2H_BATCH_CACHE"] = before
+    return found
+
+
+def from_nothing(place: Path) -> dict[str, Any]:
+    """Wall and CPU seconds of trainings that begin with an empty cache, by who draws the instances."""
+    found: dict[str, Any] = {}
+    for name, words in TRAININGS.items():
+        out, cache = place / "from nothing" / name, place / "from nothing" / f"{name}, cache"
+        for folder in (out, cache):
+            shutil.rmtree(folder, ignore_errors=True)
+        before, start = os.times(), time.perf_counter()
+        subprocess.run(
+            [sys.executable, "-m", "r2h_batch", "train", "rank", "--out", str(out), *SHORT, *words],
+            check=True, env={**os.environ, "R2H_BATCH_CACHE": str(cache)}, stdout=subprocess.DEVNULL,
+        )  # fmt: skip
+        after = os.times()
+        cpu = after.children_user + after.children_system - before.children_user - before.children_system
+        found[name] = {"wall s": time.perf_counter() - start, "cpu s": cpu}
+        print(name, found[name], flush=True)
+    weights = [(place / "from nothing" / name / "rank.safetensors").read_bytes() for name in SAME_WEIGHTS]
+    return found | {"same": weights[0] == weights[1]}
 
 
 def memory() -> dict[str, Any]:
@@ -416,9 +558,19 @@ class Bench:
         return {"turned": families.turned(rows, TURNED, ("learned",))}
 
     def received(self) -> dict[str, Any]:
-        """Whether receivers can take what it hands over."""
-        of = self.options.received
-        return {"received": received(ROWS, of), "received_of": of}
+        """Whether receivers can take, and do take, what it hands over."""
+        return {"received": handed_over(ROWS, self.options.received)}
+
+    def drawing(self) -> dict[str, Any]:
+        """Costs of instances, and trainings from nothing."""
+        place = self.options.runs.absolute()
+        return {
+            "drawing": {"instance": instance_cost(place), "trainings": from_nothing(place), "load": os.getloadavg()[0]}
+        }
+
+    def policy(self) -> dict[str, Any]:
+        """The policy that the example learns by PPO, beside the servo that it begins as."""
+        return {"policy": policy()}
 
     def generator(self) -> dict[str, Any]:
         """The generator of the examples."""
@@ -431,7 +583,7 @@ class Bench:
 
 PARTS = (
     *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "costs"),
-    *("turned", "received", "generator", "memory"),
+    *("turned", "received", "generator", "policy", "memory", "drawing"),
 )
 
 
@@ -465,7 +617,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
   too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{recipes}{views}{generator}## What it costs
+{received}{regions}{recipes}{views}{generator}{policy}{drawing}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -524,10 +676,38 @@ TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n}
 """
 RECEIVED = """## Can the person take it?
 
-Percent of the first {received_of} shipped rows of each split (motion simulated) that the receiver could take
-([reception](reception.md)), and that succeed too.
+Percent of the first {of} shipped rows of each split (motion simulated) whose object the receiver could take
+([reception](reception.md)) and took ([transfer](transfer.md), policy `load-share`, one person a trial), each also with success of
+the trial. Brackets: the 95 % interval for all categories. The last three lines are {first} less {second} on the same trials,
+in points. Their parentheses count the trials that only {first} has, and those that only {second} has.
 
-{received}
+{table}
+
+{answer}
+{undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
+
+"""
+POLICY_TIED = """PPO does not beat the servo: the interval of the difference in success holds 0."""
+POLICY = """## A policy beside its control
+
+`examples/learn_ppo.py` trains a network by PPO in closed loop ([how](../howto/reinforcement_learning.md)). It begins as the
+built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances, and both
+then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
+
+{table}
+
+{words}
+
+"""
+DRAWING = """## From an empty cache
+
+An instance with its grasp candidates takes {anew:.2f} CPU s ({candidates:.2f} of them the candidates), and {kept:.3f} from disk.
+The table is of trainings of the [notebook's](../notebooks/learning.md) size, with {count} instances that nobody has drawn
+before. The first two give {same} weights. With `--renew 3` training begins with one instance of each category, and the
+others are drawn meanwhile. Others used the machine too (load {load:.1f} on {cores} cores), so wall times compare these
+lines alone.
+
+{table}
 
 """
 GENERATOR = """## A generator beside chance
@@ -581,11 +761,46 @@ def turned_words(tests: Sequence[Mapping[str, Any]]) -> str:
     return TURNED_WORDS.format(n=turn["n"], low=min(moves), high=max(moves), mark=MARK[turn["marked"]])
 
 
-def received_words(data: Mapping[str, Any]) -> str:
+def received_words(own: Mapping[str, Any]) -> str:
     """The section on receivers who take the object."""
-    heads = [*next(iter(data["received"].values()))]
-    taken = [[name, *(f"{own[k]:.1f}" for k in heads)] for name, own in data["received"].items()]
-    return RECEIVED.format(received_of=data["received_of"], received=markdown_table(["", *heads], taken))
+    lines, splits = [], {"S0+S1": "both"}
+    for name, of in own["rates"].items():
+        for s, rates in of.items():
+            lines.append([name, splits.get(s, s), *("{:.1f} [{:.0f}, {:.0f}]".format(*rates[k]) for k in HANDED)])
+    first, second = own["rates"]
+    for s, of in own["paired"].items():
+        told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
+        lines.append(["difference", splits.get(s, s), *told])
+    undecided = " and ".join(f"{n} ({name})" for name, n in own["undecided"].items())
+    taken = own["paired"]["S0+S1"]["taken"]
+    than = "more often than" if taken["low"] > 0 else "less often than" if taken["high"] < 0 else "about as often as"
+    answer = f"People take what {first} hands over {than} what {second} does."
+    return RECEIVED.format(
+        answer=answer,
+        of=own["of"],
+        first=first,
+        second=second,
+        undecided=undecided,
+        table=markdown_table(["", "split", *HANDED], lines),
+    )
+
+
+def policy_words(own: Mapping[str, Any]) -> str:
+    """The section on the policy that the example learns."""
+    keys = ("success %", "return", "time s")
+    lines = []
+    for key in keys:
+        more, half = own[f"{key}, ppo - servo"], own[f"{key}, half of the 95 % interval"]
+        ends = f"{more:+.2f} [{more - half:+.2f}, {more + half:+.2f}]"
+        lines.append([key, f"{own[f'{key}, servo']:.2f}", f"{own[f'{key}, ppo']:.2f}", ends])
+    more, half = own["success %, ppo - servo"], own["success %, half of the 95 % interval"]
+    beats = "PPO hands over in more trials than the servo." if more > half else POLICY_TIED
+    beats = "PPO hands over in fewer trials than the servo." if more < -half else beats
+    return POLICY.format(
+        rounds=own["rounds"], learned=own["learned"], instances=own["instances"], trials=own["unseen"],
+        repeats=own["repeats"], cpu=own["cpu s"], words=beats,
+        table=markdown_table(["", "servo", "PPO", "PPO less servo"], lines),
+    )  # fmt: skip
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -627,6 +842,19 @@ def views_words(own: Mapping[str, Any]) -> str:
         pairs=own["pairs"], trials=VIEWS["shards"] * VIEWS["trials"], export=own["spent"]["export"],
         train=own["spent"]["labels"] + own["spent"]["train"], of=VIEW_TRIALS,
         table=markdown_table(["", "S0", "S1", "first failures"], rows),
+    )  # fmt: skip
+
+
+def drawing_words(own: Mapping[str, Any], cores: int) -> str:
+    """The section on trainings from an empty cache."""
+    from r2h_batch.protocols.family_objects import planned_objects
+
+    cost, runs = own["instance"], {k: v for k, v in own["trainings"].items() if k != "same"}
+    return DRAWING.format(
+        count=len(planned_objects(f"families:{SHORT[1]}")), anew=cost["drawn anew"], kept=cost["from disk"],
+        candidates=cost["drawn anew, candidates"], same="the same" if own["trainings"]["same"] else "OTHER",
+        load=own["load"], cores=cores,
+        table=markdown_table(["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in runs.items()]),
     )  # fmt: skip
 
 
@@ -679,11 +907,13 @@ def markdown(data: Mapping[str, Any]) -> str:
         categories_note=" Left out: by the network that never saw the category." if left_out else "",
         former=former_words(data),
         turned=turned_words(data["turned"]) if "turned" in data else "",
-        received=received_words(data) if "received" in data else "",
+        received=received_words(data["received"]) if "received" in data else "",
         regions=regions_words(data["regions"]) if "regions" in data else "",
         recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
         views=views_words(data["views"]) if "views" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
+        drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
+        policy=policy_words(data["policy"]) if "policy" in data else "",
         memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
         scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",
         seconds="; ".join(costs),
@@ -700,7 +930,7 @@ def main() -> None:
     parser.add_argument("--scans", type=Path, help="a folder of meshes (.obj) of yours")
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
-    parser.add_argument("--received", type=int, default=100, help="of each split, whose objects receivers try to take")
+    parser.add_argument("--received", type=int, default=500, help="of each split, whose objects receivers try to take")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")

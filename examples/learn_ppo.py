@@ -3,9 +3,10 @@ fast it follows the hand.
 
 python examples/learn_ppo.py          # minutes on two cores; needs the extra env
 
-The network begins as the servo itself: all its answers are 0, which are the servo's own numbers. It learns on trials with new
-hands and noise in each round. Then both play trials that nobody has seen, with the same hands and noise. The program prints
-the difference with its interval. One file, torch alone, as CleanRL's examples.
+The network begins as the servo itself: all its answers are 0, which are the servo's own numbers. It learns on new instances of
+the families, with new hands and noise in each round. Then both play trials of the benchmark, whose objects the network has not
+seen, with the same hands and noise. The program prints the difference with its interval. One file, torch alone, as CleanRL's
+examples.
 """
 
 import argparse
@@ -17,13 +18,15 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from r2h_batch import Evaluator, load_benchmark
+from r2h_batch import Benchmark, Evaluator, load_benchmark
 from r2h_batch.closed_loop import End, HandoverEnv, LoopConfig, Servo
 from r2h_batch.closed_loop.policies import FOLLOW, SLOW_M, STOP_M
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods.oracle import predict
+from r2h_batch.training import stream
 from r2h_batch.types import Scores
 
+BENCHMARK = "r2h-v2"
 CONFIG = LoopConfig(rate_hz=10, horizon_s=12)
 OWN = torch.tensor([SLOW_M, STOP_M, FOLLOW], dtype=torch.float64)
 LOW, HIGH = torch.tensor([0.03, 0.004, 0.03]).double(), torch.tensor([0.25, 0.04, 0.6]).double()
@@ -141,22 +144,32 @@ def compared(scores: Scores, network: Network, repeats: int) -> dict[str, float]
     return out | {f"{key}, half of the 95 % interval": float(half[i]) for i, key in enumerate(keys)}
 
 
+def handed_over(benchmark: Benchmark, trial_id: Tensor) -> Scores:
+    """The oracle's handovers in these trials, with their planned paths: what an episode begins with."""
+    evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
+    trials = benchmark.trials_with_ids(trial_id)
+    answer = predict(trials, evaluator.scene, evaluator=evaluator)
+    return evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
+
+
 def main(argv: list[str] | None = None) -> dict[str, float]:
     """Success, return and time of servo and network on unseen trials, and their differences."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trials", type=int, default=48, help="of each split: half to learn from, half to test")
-    parser.add_argument("--rounds", type=int, default=40)
-    parser.add_argument("--repeats", type=int, default=3, help="of each unseen trial")
+    parser.add_argument("--families", default="* x 2 seed 5", help="instances that it learns from")
+    parser.add_argument("--learn", type=int, default=64, help="trials of a round")
+    parser.add_argument("--trials", type=int, default=96, help="unseen trials, of each split")
+    parser.add_argument("--rounds", type=int, default=30)
+    parser.add_argument("--repeats", type=int, default=2, help="of each unseen trial")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(argv)
     begin = time.perf_counter(), time.process_time()
     torch.manual_seed(options.seed)
-    evaluator = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
-    trials = load_benchmark("r2h-v1").trials(options.trials)
-    answer = predict(trials, evaluator.scene, evaluator=evaluator)
-    scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
-    half = torch.arange(len(scores)) % 2 == 0
-    known, unseen = scores[half], scores[~half]
+    benchmark = load_benchmark(BENCHMARK)
+    pairs = stream(
+        benchmark, options.families, pairs=1, trials=options.learn
+    )  # new instances, trials that nobody is tested on
+    known = handed_over(pairs.benchmark, pairs.item(0)["trial_id"])
+    unseen = handed_over(benchmark, benchmark.trials(options.trials).trial_id)
 
     env = HandoverEnv(known, "moves", config=CONFIG, action="posture", output="torch")
     seen, _ = env.reset(seed=options.seed)
@@ -177,7 +190,8 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
         print(f"{key}: {value:.3f}")
     wall, cpu = (now - then for now, then in zip((time.perf_counter(), time.process_time()), begin, strict=True))
     print(f"{len(unseen)} unseen trials, each {options.repeats} times; {wall:.0f} s, {cpu:.0f} CPU s")
-    return found
+    of = {"rounds": options.rounds, "learned": len(known), "instances": len(pairs.objects), "repeats": options.repeats}
+    return found | of | {"unseen": len(unseen), "cpu s": cpu}
 
 
 if __name__ == "__main__":

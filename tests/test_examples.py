@@ -77,10 +77,12 @@ def test_a_servo_learns_from_closed_loops_and_is_played_on_unseen_trials(capsys)
 
 def test_ppo_begins_as_the_servo_and_is_compared_with_it_on_unseen_trials(capsys):
     learn_ppo = import_module("learn_ppo")
-    untrained = learn_ppo.main(["--trials", "2", "--rounds", "0", "--repeats", "1"])
+    short = ["--families", "cup,hammer x 1 seed 5", "--learn", "2", "--trials", "2", "--repeats", "1"]
+    untrained = learn_ppo.main([*short, "--rounds", "0"])
     assert all(untrained[f"{key}, ppo - servo"] == 0 for key in ("success %", "return", "time s"))
-    trained = learn_ppo.main(["--trials", "2", "--rounds", "1", "--repeats", "1"])
+    trained = learn_ppo.main([*short, "--rounds", "1"])
     assert "round 0: success" in capsys.readouterr().out and trained["return, servo"] == untrained["return, servo"]
+    assert (trained["instances"], trained["learned"], trained["unseen"]) == (2, 2, 4)
 
 
 def test_a_method_that_sees_grasps_the_cloud_and_hands_over_some_of_the_things(tmp_path):

@@ -25,6 +25,8 @@ def rank(
     mined_steps: int = 300,
     views: Path | None = None,
     start: str = "",
+    renew: int = 0,
+    workers: int | None = None,
     log: Literal["", "tensorboard", "wandb", "mlflow", "trackio"] = "",
 ) -> int:
     """Train the ranker of method learned on new instances of the families, and write its weights.
@@ -47,6 +49,9 @@ def rank(
         views: learn for methods that see, from this folder of observe export --believed; without benchmark, families and mined
             pairs, an item is a shard.
         start: weights to begin with, rank.safetensors of another training, or shipped.
+        renew: items after which the next instance of each category takes the place of the one before; training begins with
+            the first ones while others are drawn. 0: it begins when all are drawn.
+        workers: processes that draw instances; without it one for each core but one. They decide nothing about the weights.
         log: write the loss to TensorBoard, Weights & Biases, MLflow or Trackio too.
     """
     from r2h_batch.base.loggers import Logger
@@ -55,13 +60,12 @@ def rank(
 
     recipe = Recipe(
         families=families, leave_out=leave_out, regions=regions, seed=seed, items=items, steps=steps, rounds=rounds,
-        mined_items=mined_items, mined_steps=mined_steps, start=start,
+        mined_items=mined_items, mined_steps=mined_steps, start=start, renew=renew,
     )  # fmt: skip
     if views is not None:
         own = Recipe(seed=seed, steps=steps, start=start)
-        given = [k for k, v in vars(recipe).items() if v != getattr(own, k)] + ["benchmark"] * bool(
-            benchmark
-        )
+        given = [k for k, v in vars(recipe).items() if v != getattr(own, k)]
+        given += [k for k, v in (("benchmark", benchmark), ("workers", workers is not None)) if v]
         if given:
             flag = given[0].replace("_", "-")
             raise UsageError(
@@ -77,7 +81,7 @@ def rank(
             path = train_on_views(views, recipe, out, tell=LOG.info, log=numbers)
         else:
             found = load_benchmark(benchmark) if benchmark else load_benchmark()
-            path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers)
+            path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers, workers=workers)
     print(path)
     return 0
 

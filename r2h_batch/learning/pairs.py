@@ -5,6 +5,8 @@ that no benchmark uses, so nothing that a method is tested on can be learned.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import groupby
 
 import numpy as np
 import torch
@@ -19,7 +21,8 @@ from r2h_batch.base.validate import (
     optional,
     sequence_of,
 )
-from r2h_batch.learning.instances import Instances, split, training_objects
+from r2h_batch.evaluate import Evaluator
+from r2h_batch.learning.instances import Instances, Source, sources
 from r2h_batch.learning.regions import MOST_REGIONS, with_regions
 from r2h_batch.methods.candidates import without_candidates
 from r2h_batch.methods.ranker.observe import Seen, observe
@@ -36,7 +39,45 @@ IDS_OF_SEED, MOST_SEEDS = 1 << 40, 1 << 20
 """Ids of one seed: the first half belongs to what is learned from, the second to what is left out."""
 DRAWN_AT_ONCE = 1024
 """Trials drawn in one call: a trial costs a third of what it costs alone. It decides nothing about them."""
+MOST_WORKERS = 256
+KEPT_WORLDS = 2
+"""Groups of instances whose tables are kept."""
 _PICK, _POSE = 0, 1  # purposes of the random counters
+
+
+@dataclass(frozen=True)
+class World:
+    """Benchmark and judge of an item's trials.
+
+    Attributes:
+        benchmark: with the item's instances.
+        evaluator: judges its pairs.
+        splits: that its instances have, as places in `SPLITS`.
+    """
+
+    benchmark: Benchmark
+    evaluator: Evaluator
+    splits: tuple[int, ...]
+
+    @classmethod
+    def of(cls, source: Source, group: int) -> "World":
+        """The world of a group of instances, without those that the gripper cannot hold.
+
+        Args:
+            source: gives the instances.
+            group: which of them.
+        """
+        objects = source.group(group)
+        if source.regions:
+            objects = with_regions(objects, source.regions)
+        own = source.benchmark.with_objects(objects)
+        evaluator = own.evaluator(threads=1)
+        if none := without_candidates(evaluator.scene):
+            held = tuple(o for i, o in enumerate(objects) if i not in none)
+            own = source.benchmark.with_objects(held)
+            evaluator = own.evaluator(threads=1)
+        there = {o.split for o in own.objects}
+        return cls(own, evaluator, tuple(k for k, s in enumerate(SPLITS) if s in there))
 
 
 class Pairs(IterableDataset[dict[str, Tensor]]):
@@ -63,18 +104,20 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
 
     Verdicts are those of the true hand; what is seen is the estimated one.
 
+    With `renew` instances take the place of others from item to item: `object_index` then counts those of `world(index)`.
+
     Attributes:
-        benchmark: that of the trials: people, robot and limits of the given one, with the new instances.
-        objects: the instances.
+        benchmark: that of the trials: people, robot and limits of the given one, with the new instances (of item 0).
+        objects: the instances (of item 0).
+        names: what all of them are called, without those with other regions.
         left_out: the stream of those that `leave_out` names, with people of its own; None where it names none.
-        evaluator: judges the pairs.
+        evaluator: judges the pairs (of item 0).
     """
 
     def __init__(
         self,
-        benchmark: Benchmark,
-        objects: Instances,
-        left_out: Instances,
+        source: Source,
+        left_out: Source | None,
         *,
         pairs: int,
         poses: int,
@@ -84,13 +127,13 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         items: int | None,
         first_id: int,
         see: Seen,
+        renew: int,
     ) -> None:
-        """As `stream`, with instances.
+        """As `stream`, with the source of its instances.
 
         Args:
-            benchmark: whose people, robot and limits it has.
-            objects: instances.
-            left_out: further ones, of `left_out`.
+            source: gives instances of a benchmark whose people, robot and limits it has.
+            left_out: gives those of `left_out`.
             pairs: K.
             poses: pairs of one candidate.
             trials: N.
@@ -99,23 +142,57 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             items: number of items; None: no end.
             first_id: the first trial id.
             see: how much an item holds.
+            renew: items with the same instances; 0: all have them.
         """
-        own = benchmark.with_objects(objects)
-        evaluator = own.evaluator(threads=1)
-        if none := without_candidates(evaluator.scene):
-            held = tuple(o for i, o in enumerate(objects) if i not in none)
-            own = benchmark.with_objects(held)
-            evaluator = own.evaluator(threads=1)
-        self.benchmark, self.objects, self.evaluator = own, own.objects, evaluator
+        self._source, self._worlds = source, dict[int, World]()
         self.pairs, self.poses, self.trials, self.seed, self.see = pairs, poses, trials, seed, see
-        self.first_item, self.items, self.first_id = first_item, items, first_id
-        self._splits = [k for k, s in enumerate(SPLITS) if any(o.split == s for o in own.objects)]
+        self.first_item, self.items, self.first_id, self.renew = first_item, items, first_id, renew
+        self.names = source.names
         self.left_out: Pairs | None = None
-        if left_out:
+        if left_out is not None:
             self.left_out = type(self)(
-                benchmark, left_out, (), pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
-                first_id=first_id + IDS_OF_SEED // 2, see=see,
+                left_out, None, pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
+                first_id=first_id + IDS_OF_SEED // 2, see=see, renew=renew,
             )  # fmt: skip
+
+    @property
+    def benchmark(self) -> Benchmark:
+        """That of item 0."""
+        return self.world(0).benchmark
+
+    @property
+    def objects(self) -> Instances:
+        """The instances of item 0."""
+        return self.world(0).benchmark.objects
+
+    @property
+    def evaluator(self) -> Evaluator:
+        """The judge of item 0."""
+        return self.world(0).evaluator
+
+    def world(self, index: int) -> "World":
+        """Benchmark and judge of an item; its instances are drawn where they are not there yet.
+
+        Args:
+            index: number of the item.
+        """
+        group = index // self.renew % len(self._source.groups) if self.renew else 0
+        if group not in self._worlds:
+            found = World.of(self._source, group)
+            while len(self._worlds) >= KEPT_WORLDS:
+                del self._worlds[next(iter(self._worlds))]
+            self._worlds[group] = found
+        return self._worlds[group]
+
+    @property
+    def drawing(self) -> tuple[int, ...]:
+        """Ids of the processes that draw instances ahead."""
+        return self._source.ahead.running if self._source.ahead is not None else ()
+
+    def close(self) -> None:
+        """End the processes that draw instances ahead, if there are some left; the stream still works."""
+        if self._source.ahead is not None:
+            self._source.ahead.close()
 
     def __iter__(self) -> Iterator[dict[str, Tensor]]:
         """The items in their order; of W workers each yields every W-th, so that a DataLoader gives the same order."""
@@ -127,8 +204,10 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         many = max(1, DRAWN_AT_ONCE // self.trials)
         while end is None or at < end:
             indices = [i for i in range(at, at + many * step, step) if end is None or i < end]
-            for i, drawn in zip(indices, self._drawn(indices), strict=True):
-                yield self._item(i, drawn)
+            for _, own in groupby(indices, lambda i: i // self.renew if self.renew else 0):
+                some = list(own)
+                for i, drawn in zip(some, self._drawn(some), strict=True):
+                    yield self._item(i, drawn)
             at += many * step
 
     def item(self, index: int) -> dict[str, Tensor]:
@@ -141,17 +220,18 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
         return self._item(index, *self._drawn([index]))
 
     def _drawn(self, indices: Sequence[int]) -> list[Trials]:
-        """The trials of each of these items."""
-        n, splits = self.trials, len(self._splits)
+        """The trials of each of these items, which have the same instances."""
+        world = self.world(indices[0])
+        n, splits = self.trials, len(world.splits)
         place = np.concatenate([np.arange(i * n, (i + 1) * n, dtype=np.int64) for i in indices])
         if 2 * place[-1] >= IDS_OF_SEED // 2:
             most = IDS_OF_SEED // 4 // n
             raise ValueError(
                 f"item {indices[-1]} is beyond the {most} of a seed; take another seed"
             )
-        parity = np.array(self._splits)[place % splits]
+        parity = np.array(world.splits)[place % splits]
         ids = torch.from_numpy(self.first_id + 2 * (place // splits) + parity)
-        trials = self.benchmark.trials_with_ids(ids)
+        trials = world.benchmark.trials_with_ids(ids)
         # copies: a worker's other thread moves an item's memory when it sends it, and may free what another item reads
         rows = torch.arange(len(place), dtype=torch.int64, device="cpu").split(n)
         return [trials[own] for own in rows]
@@ -161,13 +241,14 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
 
         An item is always computed alone, on one thread: torch's sums and sines have other last bits in other shapes.
         """
-        with torch.no_grad(), self.evaluator.working():
-            seen, middle = observe(trials, self.evaluator.scene, self.see, seed=self.seed)
+        evaluator = self.world(index).evaluator
+        with torch.no_grad(), evaluator.working():
+            seen, middle = observe(trials, evaluator.scene, self.see, seed=self.seed)
             pick, T_world_ee = self.chosen(trials, seen, middle)
             n, k = pick.shape
             rows = torch.arange(n, dtype=torch.int64, device="cpu")[:, None]
             T_obj_ee = seen["candidates"][rows, pick]
-            scores = self.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
+            scores = evaluator.kinematic.score(T_obj_ee, T_world_ee, trials, stages="pose")
             margin = torch.where(scores.evaluated, scores.margin, torch.nan)
         return {
             "index": torch.tensor(index, dtype=torch.int64, device="cpu"), "trial_id": trials.trial_id,
@@ -234,6 +315,8 @@ def pairs_at_random(
     items=optional(integer(1)),
     first_id=integer(0, 1 << 61),
     see=optional(instance_of(Seen, "Seen(...)")),
+    renew=integer(0),
+    workers=optional(integer(0, MOST_WORKERS)),
 )
 def stream(
     benchmark: Benchmark,
@@ -249,10 +332,13 @@ def stream(
     items: int | None = None,
     first_id: int = FIRST_ID,
     see: Seen | None = None,
+    renew: int = 0,
+    workers: int | None = None,
 ) -> Pairs:
     """Labelled pairs to learn from: what methods see, candidates, poses, labels and margins (`Pairs` names the tensors).
 
-    Instances are drawn once (0.7 s of a core each) and then read from disk.
+    Instances are drawn once (0.9 s of a core each, with their candidates) and then read from disk. Other processes help. With
+    `renew` they go on while you learn from the items that are there. How many they are decides nothing about an item.
 
     Args:
         benchmark: its people, robot, workplace and limits are those of the trials; its objects are refused.
@@ -269,6 +355,10 @@ def stream(
         items: number of items; None: no end.
         first_id: the first trial id of seed 0; ids that a benchmark draws are refused.
         see: how much of a trial an item holds; None: `Seen()`.
+        renew: items after which the next instance of each category takes the place of the one before; after the last one the
+            first comes again. 0: each item has trials with all instances, so the first item waits for all of them.
+        workers: processes that draw instances; None: one for each core but one. They end with the last instance, with
+            `Pairs.close()`, and with this process.
 
     Raises:
         FileError: families has no such form.
@@ -281,11 +371,17 @@ def stream(
         )
     if pairs % poses:
         raise ValueError(f"poses is {poses}; it must divide pairs, which is {pairs}")
-    objects, left_out = split(training_objects(benchmark, families), leave_out)
-    if regions:
-        objects, left_out = (with_regions(own, regions) for own in (objects, left_out))
     first_id += first_id % 2 + IDS_OF_SEED * seed
-    return Pairs(
-        benchmark, objects, left_out, pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
-        first_id=first_id, see=see or Seen(),
+    source, left_out = sources(
+        benchmark, families, leave_out, regions=regions, renewed=renew > 0, workers=workers
+    )
+    pairs_ = Pairs(
+        source, left_out, pairs=pairs, poses=poses, trials=trials, seed=seed, first_item=first_item, items=items,
+        first_id=first_id, see=see or Seen(), renew=renew,
     )  # fmt: skip
+    for each in (pairs_, pairs_.left_out):
+        if each is not None and not renew:  # what is wrong with them is said here
+            each.world(0)
+    if not renew:
+        pairs_.close()
+    return pairs_

@@ -1,13 +1,14 @@
 """Trains the ranker of method `learned`: labels of the stream, then rounds of pairs that it likes itself."""
 
 import math
+import os
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -86,6 +87,8 @@ class Recipe:
         mined_items: items of each.
         mined_steps: steps after each.
         start: weights to begin with: a file, or `SHIPPED`; empty: at random.
+        renew: items after which the next instances take the place of those before, as in `stream`. The steps begin with the
+            first of them, while others are drawn. 0: all instances from the first item on.
     """
 
     families: str = "* x 5 seed 5"
@@ -98,11 +101,12 @@ class Recipe:
     mined_items: int = 4
     mined_steps: int = 300
     start: str = ""
+    renew: int = 0
 
     def __post_init__(self) -> None:
         for name in ("items", "steps", "mined_items", "mined_steps"):
             integer(1)(name, getattr(self, name))
-        for name in ("regions", "rounds", "seed"):
+        for name in ("regions", "rounds", "seed", "renew"):
             integer(0)(name, getattr(self, name))
         sequence_of(str, "categories or names of instances", least=0)("leave_out", self.leave_out)
 
@@ -110,6 +114,39 @@ class Recipe:
     def all_steps(self) -> int:
         """Steps from the first to the last."""
         return self.steps + self.rounds * self.mined_steps
+
+    @property
+    def stages(self) -> "tuple[Stage, ...]":
+        """Labels and steps in turn: items at random, all at once or as their instances come; then rounds of mined ones."""
+        found: list[Stage] = []
+        for first in range(0, self.items, self.renew or self.items):
+            last = min(first + (self.renew or self.items), self.items)
+            name = f"0-{len(found)}" if self.renew else "0"
+            end = self.steps * last // self.items
+            found.append(Stage(0, name, range(first, last), found[-1].end if found else 0, end))
+        for number in range(1, 1 + self.rounds):
+            first = self.items + (number - 1) * self.mined_items
+            items, begin = range(first, first + self.mined_items), found[-1].end
+            found.append(Stage(number, str(number), items, begin, begin + self.mined_steps))
+        return tuple(found)
+
+
+class Stage(NamedTuple):
+    """Items that are labelled, and the steps after them.
+
+    Attributes:
+        number: of the round; 0: items at random.
+        name: of its file of labels.
+        items: their numbers.
+        begin: step before it.
+        end: its last step.
+    """
+
+    number: int
+    name: str
+    items: range
+    begin: int
+    end: int
 
 
 @dataclass(frozen=True)
@@ -147,6 +184,15 @@ class Lessons:
 
     def __len__(self) -> int:
         return len(self.truth)
+
+    def and_more(self, others: "Lessons") -> "Lessons":
+        """These trials and others with as many pairs.
+
+        Args:
+            others: come after these.
+        """
+        both = zip(vars(self).values(), vars(others).values(), strict=True)
+        return Lessons(*(torch.cat(pair) for pair in both))
 
     def logits(self, net: Ranker, rows: Tensor, blind: Tensor) -> tuple[Tensor, Tensor]:
         """Logits and truth (n K, 1 + C) of some trials.
@@ -228,13 +274,12 @@ class Training:
         """The network at the end of the recipe."""
         recipe = self.recipe
         with one_torch_thread("cpu"):
-            for number in range(1 + recipe.rounds):
-                self._learn_from(number)
-                end = recipe.steps + number * recipe.mined_steps
+            for stage in recipe.stages:
+                self._learn_from(stage)
                 start = time.process_time()
-                while self.step < end:
+                while self.step < stage.end:
                     self.learn()
-                    if self.step % EVERY == 0 or self.step == end:
+                    if self.step % EVERY == 0 or self.step == stage.end:
                         self._spend("train", start)
                         start = time.process_time()
                         self.keep()
@@ -245,42 +290,48 @@ class Training:
     def _spend(self, what: str, start: float) -> None:
         self.spent[what] = self.spent.get(what, 0.0) + time.process_time() - start
 
-    def _learn_from(self, number: int) -> None:
-        """Labels of round `number`, drawn or read again: 0 at random, then mined."""
-        path, recipe, start = self.out / LESSONS.format(number), self.recipe, time.process_time()
-        done = recipe.steps + (number - 1) * recipe.mined_steps
-        if path.exists() and self.step >= (done if number else 1):
+    def _learn_from(self, stage: Stage) -> None:
+        """Labels of a stage, drawn or read again."""
+        path, recipe, start = (
+            self.out / LESSONS.format(stage.name),
+            self.recipe,
+            time.process_time(),
+        )
+        first = not self.lessons
+        if path.exists() and self.step >= max(stage.begin, int(first)):
             with stored_state(path) as kept:
                 found = Lessons(**kept)
         else:
-            many = recipe.mined_items if number else recipe.items
-            with progress("labels", many, "items") as told:
-                if number == 0:
-                    items = (self.pairs.item(i) for i in range(many))
+            with progress("labels", len(stage.items), "items") as told:
+                if stage.number == 0:
+                    items = (self.pairs.item(i) for i in stage.items)
                     found = Lessons.of(_counted(items, told), POSES)
                 else:
                     assert isinstance(self.pairs, Pairs)  # the recipe of views has no rounds
-                    first = recipe.items + (number - 1) * many
                     mined = mine(
-                        self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=first, items=many
+                        self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=stage.items.start,
+                        items=len(stage.items),
                     )  # fmt: skip
                     found = Lessons.of(_counted(mined, told), 1)
             with atomic_path(path) as temporary:
                 torch.save(vars(found), temporary)
-            if number == 0 and not recipe.start:
+            if first and not recipe.start:
                 x = torch.cat(
                     [found.candidate.repeat_interleave(POSES, 1), found.pair], -1
                 ).flatten(0, 1)
                 self.net.mean.copy_(x.mean(0))
                 self.net.std.copy_(x.std(0).clamp(min=1e-3))
         self.net.train()
-        self.lessons.append(found)
-        self._spend("mine" if number else "labels", start)
+        if stage.number == 0 and not first:
+            self.lessons[0] = self.lessons[0].and_more(found)
+        else:
+            self.lessons.append(found)
+        self._spend("mine" if stage.number else "labels", start)
         passed = found.truth.nanmean((0, 1)).tolist()
         words = ", ".join(
             f"{n} {100 * p:.1f}" for n, p in zip(("success", *CRITERIA), passed, strict=True)
         )
-        what = f"mined, round {number}" if number else "at random"
+        what = f"mined, round {stage.number}" if stage.number else "at random"
         self.tell(f"{found.truth.shape[0] * found.truth.shape[1]} pairs {what}: {words} %")
         self.log({f"passed/{what}": passed[0]}, self.step)
 
@@ -340,8 +391,9 @@ def plain(recipe: Recipe, pairs: Pairs | Views) -> dict[str, Any]:
         pairs: its stream or shards.
     """
     source = pairs.identity if isinstance(pairs, Views) else {"benchmark": pairs.benchmark.digest}
+    told = {k: v for k, v in asdict(recipe).items() if k != "renew" or v}
     return {
-        **asdict(recipe),
+        **told,
         "leave_out": list(recipe.leave_out),
         **source,
         "criteria": list(CRITERIA),
@@ -382,15 +434,18 @@ def _trained(
     tell: Told,
     log: Logged,
     learned_from: dict[str, Any],
-    begin: float | None = None,
+    begin: tuple[float, float] | None = None,
 ) -> Path:
-    """The file of weights; `begin` is the CPU time at which the drawing of instances began."""
+    """The file of weights; `begin`: CPU time, of this process and of those before, when the drawing of instances began."""
     training = Training(recipe, pairs, out, tell, log)
     if begin is not None:
-        training.spent["instances"] = (
-            training.spent.get("instances", 0.0) + time.process_time() - begin
-        )
+        drawn = time.process_time() - begin[0]
+        training.spent["instances"] = training.spent.get("instances", 0.0) + drawn
     net = training.run()
+    if begin is not None and isinstance(pairs, Pairs):
+        pairs.close()
+        training.spent["instances"] += _cpu_of_others() - begin[1]
+        training.keep()
     seconds = {k: round(v, 1) for k, v in training.spent.items()}
     path = out / WEIGHTS
     if recipe.start:
@@ -413,6 +468,7 @@ def train_ranker(
     *,
     tell: Told = print,
     log: Logged = lambda numbers, step: None,
+    workers: int | None = None,
 ) -> Path:
     """Train a ranker from nothing, or go on where the folder has a checkpoint.
 
@@ -422,16 +478,26 @@ def train_ranker(
         out: folder of checkpoint, labels and weights.
         tell: prints a line.
         log: takes numbers at a step.
+        workers: processes that draw instances, as in `stream`; they decide nothing about the weights.
 
     Returns:
         The file of weights, which says what it was trained on.
     """
-    start = time.process_time()
+    start = time.process_time(), _cpu_of_others()
     pairs = stream(
         benchmark, recipe.families, leave_out=recipe.leave_out, pairs=PAIRS, poses=POSES, regions=recipe.regions,
-        trials=TRIALS, seed=recipe.seed, see=features.SEE,
+        trials=TRIALS, seed=recipe.seed, see=features.SEE, renew=recipe.renew, workers=workers,
     )  # fmt: skip
-    return _trained(recipe, pairs, out, tell, log, trained_on(benchmark, pairs), start)
+    try:
+        return _trained(recipe, pairs, out, tell, log, trained_on(benchmark, pairs), start)
+    finally:
+        pairs.close()
+
+
+def _cpu_of_others() -> float:
+    """CPU seconds of the processes that this one has waited for."""
+    spent = os.times()
+    return spent.children_user + spent.children_system
 
 
 def trained_on(benchmark: Benchmark, pairs: Pairs) -> dict[str, Any]:
@@ -441,5 +507,7 @@ def trained_on(benchmark: Benchmark, pairs: Pairs) -> dict[str, Any]:
         benchmark: the benchmark that was learned for.
         pairs: the stream.
     """
-    own = [o.name for o in pairs.objects if "_region" not in o.name]
-    return {"benchmark": benchmark.name, "objects": own}
+    own = pairs.names
+    if not pairs.renew:  # those that the gripper can hold
+        own = tuple(o.name for o in pairs.objects if "_region" not in o.name)
+    return {"benchmark": benchmark.name, "objects": [*own]}

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 
 from r2h_batch.base.errors import FileError, nearest
@@ -23,6 +24,55 @@ FORM = re.compile(
 )
 
 
+@dataclass(frozen=True)
+class Planned:
+    """An instance that a text names, drawn when somebody asks for it.
+
+    Attributes:
+        family: its generator.
+        series: 1000 and the seed of the text.
+        index: its number in the series.
+        standing: whether fillings stand at the bottom.
+    """
+
+    family: Family
+    series: int
+    index: int
+    standing: bool
+
+    @property
+    def name(self) -> str:
+        """The object's name."""
+        return f"{self.family.category}_s{self.series}_{self.index:02d}"
+
+    def drawn(self) -> ObjectModel:
+        """The object, from disk where it was drawn before; the same one as the last time, if that is not long ago."""
+        return drawn_instance(self)
+
+
+@lru_cache(maxsize=128)
+def drawn_instance(one: Planned) -> ObjectModel:
+    """`Planned.drawn`, with a memory."""
+    from r2h_batch.scene.families.kept import kept_instance
+
+    return kept_instance(one.family, one.series, one.index, standing=one.standing)
+
+
+def planned_objects(text: str) -> tuple[Planned, ...]:
+    """The instances that `family_objects` draws for a text, in its order; none is drawn.
+
+    Args:
+        text: as of `family_objects`.
+
+    Raises:
+        FileError: as of `family_objects`.
+    """
+    families, count, seed, standing = _asked(text)
+    return tuple(
+        Planned(f, FIRST_SERIES + seed, i, standing) for f in families for i in range(count)
+    )
+
+
 def family_objects(text: str) -> tuple[ObjectModel, ...]:
     """The instances that such a text names, category by category.
 
@@ -34,8 +84,7 @@ def family_objects(text: str) -> tuple[ObjectModel, ...]:
     Raises:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
-    families, count, seed, standing = _asked(text)
-    return _drawn(families, count, seed, standing)
+    return _drawn(planned_objects(text))
 
 
 def family_splits(text: str) -> set[str]:
@@ -118,16 +167,10 @@ def _checked(found: object, name: str) -> Family:
 
 
 @lru_cache(maxsize=4)
-def _drawn(
-    families: tuple[Family, ...], count: int, seed: int, standing: bool
-) -> tuple[ObjectModel, ...]:
-    from r2h_batch.scene.families.kept import kept_instance
-
-    jobs = [(family, i) for family in families for i in range(count)]
-    series = FIRST_SERIES + seed
+def _drawn(planned: tuple[Planned, ...]) -> tuple[ObjectModel, ...]:
     found = []
-    with progress("instances (kept on disk)", len(jobs), "objects") as told:
-        for family, i in jobs:
-            found.append(kept_instance(family, series, i, standing=standing))
+    with progress("instances (kept on disk)", len(planned), "objects") as told:
+        for one in planned:
+            found.append(one.drawn())
             told(1)
     return tuple(found)

@@ -6,7 +6,7 @@ import hashlib
 from dataclasses import replace
 from functools import cache
 
-from r2h_batch.base.io.cache import code_digest
+from r2h_batch.base.io.cache import code_digest, is_cached
 from r2h_batch.scene.families.draw import draw_instance, model_of
 from r2h_batch.scene.families.family import Family
 from r2h_batch.scene.mesh_import import cache as built
@@ -28,11 +28,25 @@ def kept_instance(
     def drawn() -> ObjectModel:
         return model_of(draw_instance(family, series, index, standing=standing))
 
-    if not family.make.__module__.startswith(f"{__package__}."):
+    if not is_kept(family):
         return drawn()
-    named = f"instance {family.category} {series} {index} {standing} {_code()}"
-    found = kept_object(hashlib.sha256(named.encode()).hexdigest(), drawn)
+    found = kept_object(_key(family, series, index, standing), drawn)
     return replace(found, words=family.words, roles=family.roles, category=family.category)
+
+
+def is_kept(family: Family) -> bool:
+    """Whether instances of a family are kept at all: of those that come with the package."""
+    return family.make.__module__.startswith(f"{__package__}.")
+
+
+def was_drawn(family: Family, series: int, index: int, *, standing: bool = False) -> bool:
+    """Whether an instance is on disk already."""
+    return is_kept(family) and is_cached("objects", _key(family, series, index, standing))
+
+
+def _key(family: Family, series: int, index: int, standing: bool) -> str:
+    named = f"instance {family.category} {series} {index} {standing} {_code()}"
+    return hashlib.sha256(named.encode()).hexdigest()
 
 
 @cache

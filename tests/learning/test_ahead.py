@@ -1,0 +1,212 @@
+"""Instances that other processes draw: the same items whoever draws them, in groups that take turns; processes that end."""
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+from itertools import islice
+
+import pytest
+import torch
+from alive import alive, all_end, until
+from rounds import each
+from torch.utils.data import DataLoader
+
+from r2h_batch import load_benchmark
+from r2h_batch.learning.ahead import Ahead
+from r2h_batch.learning.rank import CHECKPOINT, Recipe, Training, train_ranker
+from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
+from r2h_batch.scene.families.kept import was_drawn
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import load_robot
+from r2h_batch.training import stream
+
+FAMILIES = "knife,bottle x 3 seed 9"
+SIZES = {"pairs": 4, "trials": 8, "items": 7, "renew": 2}
+MANY = "* x 20 seed 11"
+"""More than is drawn while a test waits."""
+
+
+def forget():
+    """Drops the instances of this process: what comes next is read from disk, or drawn."""
+    drawn_instance.cache_clear()
+
+
+@pytest.fixture
+def cold(tmp_path, monkeypatch):
+    """A cache on disk that holds nothing."""
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    forget()
+    yield tmp_path / "cache"
+    forget()
+
+
+def there(planned):
+    return [was_drawn(p.family, p.series, p.index) for p in planned]
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(torch.equal(a[k].nan_to_num(-9.0), b[k].nan_to_num(-9.0)) for k in a)
+
+
+def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(cold, monkeypatch):
+    runs = []
+    for workers in each([0, 1, 2]):
+        monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
+        forget()
+        pairs = stream(load_benchmark(), FAMILIES, workers=workers, **SIZES)
+        assert len(pairs.left_out.names if pairs.left_out else pairs.names) == 6
+        runs += [[*pairs], [*DataLoader(pairs, batch_size=None, num_workers=2)], [pairs.item(i) for i in range(7)]]
+        pairs.close()
+    for run in each(runs[1:]):
+        assert len(run) == 7 and all(same(a, b) for a, b in zip(runs[0], run, strict=True))
+    plain = stream(load_benchmark(), FAMILIES, **{**SIZES, "renew": 0})  # else nothing would change
+    assert not same(runs[0][3], plain.item(3))
+
+
+def test_the_next_instances_take_the_place_of_those_before_and_the_first_come_again(cold):
+    pairs = stream(load_benchmark(), FAMILIES, leave_out=["bottle_*_01"], regions=1, workers=0, **SIZES)
+    names = [[o.name for o in pairs.world(i).benchmark.objects] for i in range(7)]
+    index = [{n.split("_")[2] for n in some} for some in names]
+    assert index == [{"00"}, {"00"}, {"01"}, {"01"}, {"02"}, {"02"}, {"00"}] and names[6] == names[0]
+    assert names[0] == ["knife_s1009_00", "bottle_s1009_00", "knife_s1009_00_region0", "bottle_s1009_00_region0"]
+    assert names[2] == ["knife_s1009_01", "knife_s1009_01_region0"]
+    assert pairs.left_out.names == ("bottle_s1009_01",)
+    assert {o.name for o in pairs.left_out.objects} == {"bottle_s1009_01", "bottle_s1009_01_region0"}
+    assert pairs.names == tuple(f"{c}_s1009_{i:02d}" for i in range(3) for c in ("knife", "bottle"))[:3] + (
+        "knife_s1009_02",
+        "bottle_s1009_02",
+    )
+    for item in each(islice(pairs, 3, 6)):
+        objects = pairs.world(int(item["index"])).benchmark.objects
+        points = torch.tensor(objects[int(item["object_index"][0])].points)
+        assert (torch.cdist(item["cloud"][0], points).amin(1) < 1e-4).all()
+    with pytest.raises(ValueError, match="renew draws instances of families"):
+        stream(load_benchmark(), pairs.world(0).benchmark.objects, renew=2)
+
+
+def test_other_processes_draw_what_comes_later_while_this_one_has_the_first(cold):
+    planned = planned_objects(f"families:{FAMILIES}")
+    first = [k for k, p in enumerate(planned) if p.index == 0]
+    ahead = Ahead(planned, load_robot(), "filtered", workers=2)
+    assert len(ahead.running) == 2
+    found = ahead.objects(first)
+    assert [o.name for o in found] == ["knife_s1009_00", "bottle_s1009_00"]
+    assert until(lambda: all(there(planned)) and not ahead.running, 90)
+    drawn = len([*(cold / "candidates").glob("*.npz")])
+    assert drawn == 6
+    ahead.close()
+    again = Ahead(planned, load_robot(), "filtered", workers=2)
+    assert not again.running  # nothing is left to draw
+
+
+def test_what_a_killed_process_had_begun_is_drawn_here(cold):
+    planned = planned_objects(f"families:{FAMILIES}")
+    ahead = Ahead(planned, load_robot(), "filtered", workers=1)
+    for pid in each(ahead.running):
+        os.kill(pid, signal.SIGKILL)
+    assert until(lambda: not ahead.running, 10)
+    found = ahead.objects(range(6))
+    assert all(isinstance(o, ObjectModel) for o in found) and all(there(planned))
+    ahead.close()
+
+
+def test_without_a_cache_on_disk_nobody_else_draws(monkeypatch):
+    monkeypatch.setenv("R2H_BATCH_CACHE", "off")
+    forget()
+    ahead = Ahead(planned_objects("families:knife x 1 seed 9"), load_robot(), "filtered", workers=2)
+    assert not ahead.running and [o.name for o in ahead.objects([0])] == ["knife_s1009_00"]
+    ahead.close()
+    forget()
+
+
+PROGRAM = """
+import json, os, sys, time
+from r2h_batch import load_benchmark
+from r2h_batch.training import stream
+pairs = stream(load_benchmark(), {families!r}, renew=1, workers=2, pairs=4, trials=8)
+print(json.dumps({{"running": pairs.drawing}}), flush=True)
+{then}
+"""
+ENDS = {
+    "the end of the program": "",
+    "an error": "raise RuntimeError('mine')",
+    "the stream is used no longer": "del pairs; time.sleep(60)",
+    "a fork ends": "os.fork() or sys.exit(); os.wait(); print(json.dumps(pairs.drawing), flush=True); time.sleep(60)",
+    "ctrl-c": "[None for item in pairs]",
+    "ctrl-c to its workers": (
+        "from torch.utils.data import DataLoader\n[0 for x in DataLoader(pairs, batch_size=None, num_workers=2)]"
+    ),
+    "a kill": "[None for item in pairs]",
+}
+
+
+@pytest.mark.parametrize("how", ENDS)
+def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
+    program = PROGRAM.format(families=MANY, then=ENDS[how])
+    env = {**os.environ, "R2H_BATCH_CACHE": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    child = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
+        start_new_session=True,
+    )  # fmt: skip
+    try:
+        told = json.loads(child.stdout.readline())
+        pids = told["running"]
+        assert len(pids) == 2 and all(map(alive, pids))
+        (claims,) = tmp_path.glob("r2h_batch_*")
+        if how == "a fork ends":
+            assert json.loads(child.stdout.readline()) == pids
+        elif how.startswith("ctrl-c"):
+            assert until(lambda: len([*(tmp_path / "cache" / "objects").glob("*.npz")]) > 2, 60)
+            os.killpg(child.pid, signal.SIGINT)
+        elif how == "a kill":
+            child.kill()
+        if how == "a fork ends":
+            assert all(map(alive, pids))
+            child.terminate()
+        assert all_end(pids, 20)
+        if how in ("the stream is used no longer", "a fork ends"):
+            child.kill()
+        error = child.communicate(timeout=20)[1]
+        if how not in ("a kill", "a fork ends"):
+            assert not claims.exists()
+        assert "learning/ahead" not in error.replace("\\", "/") or how == "ctrl-c", error
+        assert error.count("Traceback") <= (1 if "workers" not in how else 9), error
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+
+
+def test_weights_do_not_depend_on_who_draws_or_on_an_interruption(cold, tmp_path, monkeypatch):
+    recipe = Recipe(
+        families=FAMILIES, regions=0, items=3, steps=7, rounds=1, mined_items=1, mined_steps=2, renew=2, seed=3
+    )
+    stages = [(s.name, [*s.items], s.begin, s.end) for s in recipe.stages]
+    assert stages == [("0-0", [0, 1], 0, 4), ("0-1", [2], 4, 7), ("1", [3], 7, 9)]
+    monkeypatch.setattr("r2h_batch.learning.rank.TRIALS", 16)
+    found = []
+    for workers in each([0, 2]):
+        monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
+        forget()
+        out = tmp_path / f"of {workers}"
+        path = train_ranker(load_benchmark(), recipe, out, tell=lambda s: None, workers=workers)
+        found.append(path.read_bytes())
+    step = Training.learn
+
+    def stopped(self):
+        if self.step == 5:
+            raise KeyboardInterrupt
+        step(self)
+        self.keep()
+
+    monkeypatch.setattr(Training, "learn", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        train_ranker(load_benchmark(), recipe, tmp_path / "parts", tell=lambda s: None)
+    monkeypatch.setattr(Training, "learn", step)
+    assert (tmp_path / "parts" / CHECKPOINT).is_file()
+    parts = train_ranker(load_benchmark(), recipe, tmp_path / "parts", tell=lambda s: None)
+    assert found[0] == found[1] == parts.read_bytes()
+    about = json.loads(found[0][8 : 8 + int.from_bytes(found[0][:8], "little")])["__metadata__"]
+    assert all(f"{c}_s1009_0{i}" in str(about) for c in ("knife", "bottle") for i in range(3))
