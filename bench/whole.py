@@ -35,7 +35,7 @@ MEASURES = (
     "r2h_batch/protocols/r2h_v3_draft.py",
     "r2h_batch/scene/resting.py",
 )
-TRIALS = 50
+TRIALS = 100
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
 CHECKED = 5
 """Rows of each method that other code judges again."""
