@@ -1,12 +1,11 @@
 """The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/results/whole.md.
 
-`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--sim none`), judges some rows again with other code,
-and takes the time of each part. `--render` writes the page again from the JSON.
+`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--sim none`), and judges some rows of Pick again with
+other code. `--render` writes the page again from the JSON.
 """
 
 import argparse
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,12 +20,9 @@ MEASURES = (
     "bench/whole.py",
     "kernels/judge",
     "kernels/plan",
-    "assets/certified/r2h-v3-draft.npz",
-    "r2h_batch/closed_loop/transfer/given.py",
     "r2h_batch/evaluate.py",
     "r2h_batch/judge/metrics.py",
     "r2h_batch/judge/pick.py",
-    "r2h_batch/judge/reception.py",
     "r2h_batch/judge/scores.py",
     "r2h_batch/judge/straight_way.py",
     "r2h_batch/methods/from_table.py",
@@ -39,62 +35,45 @@ MEASURES = (
 TRIALS = 100
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
 CHECKED = 6
-"""Rows of each method that other code judges again."""
-TIMED = 32
-"""Rows of each method whose parts are timed."""
+"""Rows of each method whose Pick other code judges again."""
 
 HEAD = """# The draft r2h-v3: results
 
-A trial of `r2h-v3-draft` begins with the object on the table: the arm has to [pick](../pick.md#the-draft-r2h-v3) it, carry it
-from there, and present it. The person has to be able to take it, and has to have it in the end. `python bench/whole.py` sweeps
-{trials} trials a split with the motion as planned (bench/results/whole.json, commit {commit}, load {load:g} at the start).
-**It is a draft**: trials may change, and these rates are not to be published.
+A trial of `r2h-v3-draft` begins with the object on the table: the arm has to [pick](../pick.md#the-draft-r2h-v3) it. Everything
+else is as in r2h-v2. `python bench/whole.py` sweeps {trials} trials a split with the motion as planned (bench/results/whole.json,
+commit {commit}, load {load:g} at the start). **It is a draft**: trials may change, and these rates are not to be published.
 
 Percent of both splits' trials. A trial that fails counts once, at its first failure, in the order of the columns. Brackets: 95 %,
-Wilson. Thresholds are those that [Pick](../pick.md), [reception](../receivers.md#reception) and
-[transfer](../transfer.md#outcomes) had before this table.
+Wilson. Thresholds are those that [Pick](../pick.md) had before this table.
 
 {stages}
 
-No method but the oracle looks at the table: they answer as in r2h-v2. The oracle searches grasps that Pick accepts, and asks all
-eight criteria. It finds no whole way for {unsolved} of {n} trials ({unsolved_words}).
+No method but the oracle looks at the table: they answer as in r2h-v2. The oracle searches grasps that Pick accepts. It is a
+bound of what candidates and handover poses of ours reach, not of what is possible: it finds no whole way for {unsolved} of {n}
+trials ({unsolved_words}).
 
 Why Pick fails, percent of the trials that fail it first:
 
 {causes}
 
-What fails behind Safe, trials:
+## Checked by other code
 
-{giving}
+Other code judged Pick of {checked} rows again in float64 (`tests/support/pick_twin.py`): {wrong} wrong{words}. {passing} of them
+pass.
 
 ## Solvable by construction
 
-The first {certified} trials were drawn again, person, hand and moment, until the oracle's search found a whole way
-([certificates](../pick.md#certificates)). {redrawn} of them were ({redrawn_share:.1f} %), {twice} more than once, and {never}
-have no answer. By category:
+The first {certified} trials are known to have a whole way by all eight criteria ([certificates](../pick.md#certificates)). The
+oracle's search found one for all but {redrawn} as they were drawn first. These {redrawn} ({redrawn_share:.1f} %) were drawn
+again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first:
 
 {redraws}
 
-## Cost
-
-Process milliseconds of one core a row, {timed} rows, moments known (drawing one takes {moment:.1f}):
-
-{cost}
-
-Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (asked: at most 2).
-
-## Checked by other code
-
-Other code judged {checked} of these rows again in float64: Pick (`tests/support/pick_twin.py`), and Stability, the carry, Reach,
-Affordance, Safe and the outcome up to there (`tests/support/judge_twin.py`); where they got so far, the reception
-(`tests/support/people_twin.py`). {wrong} wrong{words}. {passing} are picked, {carried} carried, {received} received. [Judged
-again](judged_again.md) has the same for transfers, set `transfer`.
-
 ## What is missing
 
-- There is no bound under seeing, and one track: the truth.
-- FC, Contact, Intent and the learned method would choose among grasps that are free on the table, as their papers do.
-- Trials beyond the first {certified} are drawn once, so some of them may have no way.
+- The rates above were measured before the carry, Received, Taken and certificates, and before the methods chose grasps that
+  the arm can pick.
+- There is no bound under seeing, and one track: the truth. Trials beyond the first {certified} are drawn once.
 """
 
 
@@ -102,19 +81,15 @@ def measured(_: argparse.Namespace) -> Mapping[str, Any]:
     """All figures of the page."""
     from dataclasses import fields
 
-    from _twins import Again, PickTwin, reception_of
+    from _twins import PickTwin
 
-    from r2h_batch import load_benchmark
     from r2h_batch.judge.pick import Picked, picked
-    from r2h_batch.judge.reception import reception
     from r2h_batch.observe import moments
-    from r2h_batch.protocols.certified import load_certified
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reevaluation import Judge
 
     methods: dict[str, Any] = {}
     checked: list[dict[str, Any]] = []
-    clocks = np.zeros(len(PARTS))
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "run"
         words = (
@@ -126,7 +101,6 @@ def measured(_: argparse.Namespace) -> Mapping[str, Any]:
             TRIALS,
             "--sim",
             "none",
-            "--save-paths",
             "--threads",
             1,
         )
@@ -141,106 +115,22 @@ def measured(_: argparse.Namespace) -> Mapping[str, Any]:
                 "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
                 "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
             }
-            methods[name] |= {
-                "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
-                "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
-                "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
-            }
-            columns = rows_of(run, name)
-            ids = list(columns)[:: len(columns) // CHECKED][:CHECKED]
-            trials = judge.trials(ids)
-            grasp, pose = poses_of([columns[i] for i in ids])
+            some = run.poses(name).to_pylist()[:: len(rows) // CHECKED][:CHECKED]
+            trials = judge.trials([r["trial_id"] for r in some])
+            grasp = torch.tensor([r["T_obj_ee"] for r in some], dtype=torch.float32).reshape(-1, 4, 4)
             rest = moments(scene, trials)
             found = picked(scene, grasp, rest, trials)
-            scores = judge.evaluator.score(grasp, pose, trials)
-            people = reception(scores)
-            for k, i in enumerate(ids):
-                row = columns[i]
-                own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
-                says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
-                if row["passed_pick"] != bool(own.picked):
+            stored = {r["trial_id"]: r["passed_pick"] for r in rows}
+            for i, row in enumerate(some):
+                own = Picked(*(getattr(found, f.name)[i : i + 1] for f in fields(Picked)))
+                says = PickTwin(scene, trials[i : i + 1], grasp[i], rest[i], own).wrong()
+                if stored[row["trial_id"]] != bool(own.picked):
                     says = f"{says} stored otherwise"
-                twin = Again(
-                    scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
-                    T_world_rest=rest[k],
-                )  # fmt: skip
-                others = [f.name for f in twin.findings() if not f.holds]
-                if row["passed_received"] is not None:
-                    others += [f.name for f in reception_of(twin, people, k) if not f.holds]
-                    if bool(people.received[k]) != row["passed_received"]:
-                        others.append("received is stored otherwise")
                 checked.append(
-                    {
-                        "method": name,
-                        "trial": i,
-                        "picked": bool(own.picked),
-                        "carried": bool(row.get("q")),
-                        "received": bool(row["passed_received"]),
-                        "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
-                    }
+                    {"method": name, "trial": row["trial_id"], "picked": bool(own.picked), "wrong": says.strip()}
                 )
-            some = [columns[i] for i in list(columns)[:TIMED]]
-            clocks += timed(judge, [r["trial_id"] for r in some], *poses_of(some))
             print(name, methods[name], flush=True)
-    ms = dict(zip(PARTS, (1e3 * clocks / (TIMED * len(methods))).tolist(), strict=True))
-    known = load_certified("r2h-v3-draft")
-    names = load_benchmark("r2h-v3-draft").trials_with_ids(torch.from_numpy(known.trial_id)).object_names
-    redraws = [
-        {"category": name.rpartition("_")[0], "redraws": int(k), "solved": bool(solved)}
-        for name, k, solved in zip(names, known.redraws, known.solved, strict=True)
-    ]
-    return {
-        "trials": TRIALS, "methods": methods, "checked": checked, "ms": ms, "redraws": redraws, **made_by(MEASURES)
-    }  # fmt: skip
-
-
-PARTS = ("moment", "none", "present", "received", "taken")
-"""Drawing the moment, a kinematic trial without Pick, and the draft until each of its ends."""
-
-
-def timed(judge: Any, ids: list[int], grasp: torch.Tensor, pose: torch.Tensor) -> np.ndarray:
-    """Process seconds of `PARTS` on these rows; each evaluator is called once before."""
-    from dataclasses import replace
-
-    from r2h_batch.config import EvalConfig, ExecConfig
-    from r2h_batch.evaluate import Evaluator
-    from r2h_batch.observe import moments
-
-    draft, config = judge.benchmark, EvalConfig(execute=ExecConfig(sim="none"))
-    clocks = []
-    trials = draft.trials_with_ids(torch.tensor(ids))
-    begin = time.process_time()
-    moments(judge.evaluator.scene, trials)
-    clocks.append(time.process_time() - begin)
-    for benchmark in (replace(draft, asks=()), *(draft.until(stage) for stage in PARTS[2:])):
-        evaluator, own = Evaluator(benchmark, config, threads=1), benchmark.trials_with_ids(torch.tensor(ids))
-        evaluator.score(grasp, pose, own)
-        begin = time.process_time()
-        evaluator.score(grasp, pose, own)
-        clocks.append(time.process_time() - begin)
-    return np.array(clocks)
-
-
-def rows_of(run: Any, name: str) -> dict[int, dict[str, Any]]:
-    """Trial id -> its columns of all files."""
-    rows: dict[int, dict[str, Any]] = {}
-    for table in (run.trials(name), run.details(name), run.poses(name), run.paths(name)):
-        for row in table.to_pylist():
-            rows.setdefault(row["trial_id"], {}).update(row)
-    return rows
-
-
-def poses_of(rows: list[dict[str, Any]]) -> tuple[torch.Tensor, torch.Tensor]:
-    """T_obj_ee and T_world_ee of rows, (N, 4, 4)."""
-    grasp, pose = (
-        torch.tensor([r[k] for r in rows], dtype=torch.float32).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
-    )
-    return grasp, pose
-
-
-def _until_safe(row: dict[str, Any]) -> dict[str, Any]:
-    """The outcome of a row by the criteria that the twin knows: what fails behind Safe has passed all of them."""
-    return {"outcome": "success"} if row["outcome"] in ("received", "taken") else {}
+    return {"trials": TRIALS, "methods": methods, "checked": checked, **made_by(MEASURES)}
 
 
 def markdown(data: Any) -> str:
@@ -251,26 +141,8 @@ def markdown(data: Any) -> str:
 
     methods = data["methods"]
     short = short_names(list(methods))
-    nobody = list(dict.fromkeys(r for m in methods.values() for r in m["nobody"]))
-    ends = list(dict.fromkeys(e for m in methods.values() for e in m["ends"]))
-    giving = [
-        [short[k], *(m["nobody"].get(r, 0) for r in nobody), *(m["ends"].get(e, 0) for e in ends), m["undecided"]]
-        for k, m in methods.items()
-        if m["outcomes"].get("success", 0) + m["outcomes"].get("received", 0) + m["outcomes"].get("taken", 0)
-    ]
-    known, redrawn = data["redraws"], Counter(r["category"] for r in data["redraws"] if r["redraws"])
-    of = Counter(r["category"] for r in known)
-    redraws = [
-        [c.replace("_", " "), of[c], redrawn[c], f"{100 * redrawn[c] / of[c]:.1f}"] for c in sorted(of) if redrawn[c]
-    ]
-    ms = data["ms"]
-    cost = [
-        ["a kinematic trial (`--sim none`, five criteria)", f"{ms['none']:.1f}"],
-        ["with Pick, and the carry in place of the path from home", f"{ms['present']:.1f}"],
-        ["and the reception of what got so far", f"{ms['received']:.1f}"],
-        ["and the transfer of what is received", f"{ms['taken']:.1f}"],
-    ]
-    order = [entry.name for entry in IN_ORDER]
+    judged = data.get("criteria", ("stability", "pick", "plan", "reach", "affordance", "safe"))
+    order = [entry.name for entry in IN_ORDER if entry.name in judged]
 
     def rate(hits: int, of: int) -> str:
         low, high = wilson_interval(np.array(hits), of)
@@ -294,7 +166,17 @@ def markdown(data: Any) -> str:
     lost = Counter(bound["lost"])
     checked = data["checked"]
     wrong = [f"{short[c['method']]}, trial {c['trial']}: {c['wrong']}" for c in checked if c["wrong"]]
+    known, names = certified_trials()
+    drawn = [name.rpartition("_")[0].replace("_", " ") for name in names]
+    of, again = Counter(drawn), Counter(c for c, k in zip(drawn, known.redraws, strict=True) if k)
+    redraws = [[c, of[c], again[c], f"{100 * again[c] / of[c]:.1f}"] for c in sorted(again)]
     return HEAD.format(
+        certified=len(drawn),
+        redrawn=sum(again.values()),
+        redrawn_share=100 * sum(again.values()) / len(drawn),
+        twice=int((known.redraws > 1).sum()),
+        never=int((~known.solved).sum()),
+        redraws=markdown_table(["", "trials", "drawn again", "percent"], redraws),
         trials=data["trials"],
         commit=data["commit"][:12],
         load=data["hardware"]["load_at_start"],
@@ -307,28 +189,19 @@ def markdown(data: Any) -> str:
         wrong=len(wrong),
         words=f" ({'; '.join(wrong)})" if wrong else "",
         passing=sum(c["picked"] for c in checked),
-        carried=sum(c["carried"] for c in checked),
-        received=sum(c["received"] for c in checked),
-        giving=markdown_table(
-            [
-                "",
-                *(f"not received: {r.replace('_', ' ')}" for r in nobody),
-                *(e.replace("_", " ") for e in ends),
-                "undecided, of all",
-            ],
-            giving,
-        ),
-        certified=len(known),
-        redrawn=sum(redrawn.values()),
-        redrawn_share=100 * sum(redrawn.values()) / len(known),
-        twice=sum(r["redraws"] > 1 for r in known),
-        never=sum(not r["solved"] for r in known),
-        redraws=markdown_table(["", "trials", "drawn again", "percent"], redraws),
-        cost=markdown_table(["", "ms"], cost),
-        timed=TIMED * len(methods),
-        moment=ms["moment"],
-        ratio=(ms["present"] - ms["none"]) / ms["none"],
     )
+
+
+def certified_trials() -> tuple[Any, tuple[str, ...]]:
+    """The shipped certificates, and the object that each of their trials had as it was drawn first."""
+    from dataclasses import replace
+
+    from r2h_batch import load_benchmark
+    from r2h_batch.protocols.certified import load_certified
+
+    known = load_certified("r2h-v3-draft")
+    first = replace(load_benchmark("r2h-v3-draft"), certified=None)
+    return known, first.trials_with_ids(torch.from_numpy(known.trial_id)).object_names
 
 
 def main() -> None:

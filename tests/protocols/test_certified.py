@@ -59,7 +59,9 @@ def test_only_what_was_drawn_again_is_another_trial_with_another_moment(draft, a
     plain = replace(draft, certified=None)
     ids = torch.arange(8)
     first, other = plain.trials_with_ids(ids), again.trials_with_ids(ids)
-    assert torch.equal(first.object_index, other.object_index) and torch.equal(first.trial_id, other.trial_id)
+    assert torch.equal(first.trial_id, other.trial_id) and first.splits == other.splits
+    later = plain.trials_with_ids(ids + 2 * torch.from_numpy(again.redraws(ids.numpy())))
+    assert torch.equal(other.object_index, later.object_index)  # as many turns on as there were redraws
     same = [i not in (0, 3, 6) for i in range(8)]
     for name in each(("T_world_hand", "receiver", "person")):
         mine, theirs = (getattr(x, name).flatten(1) for x in (first, other))

@@ -109,20 +109,24 @@ class Rule:
         seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name
         redraws = benchmark.redraws(trial_id)
         if not redraws.any():
-            return self._drawn(benchmark, trial_id, seed)
-        groups = [np.flatnonzero(redraws == k) for k in np.unique(redraws)]
+            return self._drawn(benchmark, trial_id, seed, 0)
+        counts = np.unique(redraws).tolist()
+        groups = [np.flatnonzero(redraws == k) for k in counts]
         parts = [
-            self._drawn(benchmark, trial_id[rows], again(seed, int(redraws[rows[0]])))
-            for rows in groups
+            self._drawn(benchmark, trial_id[rows], again(seed, k), k)
+            for k, rows in zip(counts, groups, strict=True)
         ]
         order = torch.from_numpy(np.argsort(np.concatenate(groups)))
         tensors = [p._tensors() for p in parts]
         return Trials(**{k: torch.cat([t[k] for t in tensors])[order] for k in tensors[0]})
 
-    def _drawn(self, benchmark: Benchmark, trial_id: NDArray[np.int64], seed: str) -> Trials:
-        """`draw` with the random counters of a seed."""
+    def _drawn(
+        self, benchmark: Benchmark, trial_id: NDArray[np.int64], seed: str, redraws: int
+    ) -> Trials:
+        """`draw` with the random counters of a seed; the object is as many turns on as there were redraws."""
         n, people = len(trial_id), benchmark.people
-        object_index, side = assign_objects(trial_id, [o.split for o in benchmark.objects])
+        turn = trial_id + 2 * redraws  # of the same split
+        object_index, side = assign_objects(turn, [o.split for o in benchmark.objects])
         hand_index, sides = np.zeros(n, np.int64), posed_hands(benchmark.hand_set).side
         T_world_hand = np.zeros((n, 4, 4), np.float32)
         receiver = np.zeros((n if self.bodies else 0, 5, 4), np.float32)
