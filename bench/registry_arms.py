@@ -45,7 +45,7 @@ class Listed(NamedTuple):
 ARMS = {
     "ur3": Listed("UR3", "example-robot-data:ur3_robot.urdf", "--base base_link --flange tool0"),
     "ur10": Listed("UR10", "example-robot-data:ur10_robot.urdf", "--base base_link --flange tool0"),
-    "xarm6": Listed("xArm6", "pybullet:xarm6_robot.urdf", "--base link_base --flange link6"),
+    "xarm6": Listed("xArm6", "pybullet:xarm6_robot.urdf", "--base link_base --flange link6 --yes"),
     "j2s6s200": Listed(
         "Kinova j2s6s200", "example-robot-data:kinova.urdf",
         "--base j2s6s200_link_base --flange j2s6s200_end_effector --yes",
@@ -80,6 +80,34 @@ ARMS = {
     ),
     "tiago": Listed("TIAGo", "example-robot-data:tiago.urdf", "--base torso_lift_link --flange arm_tool_link --yes"),
     "jaco6": Listed("Jaco", "dm-control:jaco_arm.xml", "--base b_base --flange wristsite"),
+    "sawyer": Listed(
+        "Sawyer", "robosuite:sawyer_description/urdf/sawyer_arm.urdf", "--base right_arm_base_link --flange right_l6 --yes"
+    ),
+    "iiwa7": Listed(
+        "iiwa", "pybullet:kuka_iiwa/model.urdf", "--base lbr_iiwa_link_0 --flange lbr_iiwa_link_7 --yes"
+    ),
+    "panda": Listed("Panda", "pybullet:franka_panda/panda.urdf", "--base panda_link0 --flange panda_link8 --yes"),
+    "panda_fr": Listed("Panda", "example-robot-data:panda.urdf", "--base panda_link0 --flange panda_link8 --yes"),
+    "panda_v2": Listed("Panda", "mani-skill:panda_v2.urdf", "--base panda_link0 --flange panda_link8 --yes"),
+    "xarm7": Listed("xArm7", "mani-skill:xarm7.urdf", "--base link_base --flange link_eef --yes"),
+    "tiago_dual": Listed(
+        "TIAGo++, right arm", "example-robot-data:tiago_dual.urdf",
+        "--base torso_lift_link --flange arm_right_tool_link --yes",
+    ),
+    "pr2_urdf": Listed(
+        "PR2, right arm", "example-robot-data:pr2.urdf", "--base torso_lift_link --flange r_wrist_roll_link --yes"
+    ),
+    "g1": Listed(
+        "G1, right arm", "example-robot-data:g1_29dof_rev_1_0.urdf",
+        "--base torso_link --flange right_wrist_yaw_link --yes",
+    ),
+    "centauro": Listed(
+        "Centauro, right arm", "example-robot-data:centauro.urdf", "--base torso_2 --flange arm2_8 --yes"
+    ),
+    "romeo": Listed("Romeo, right arm", "example-robot-data:romeo.urdf", "--base torso --flange r_wrist --yes"),
+    "gr1": Listed("GR-1, right arm", "robosuite:gr1/robot.xml", "--base right_arm_mount --flange right_eef --yes"),
+    "vx300s": Listed("ViperX 300s", "robosuite-models:vx300s/robot.xml", "--base base --flange right_hand --yes"),
+    "z1": Listed("Z1", "robosuite-models:z1/robot.xml", "--base base --flange right_hand --yes"),
     "so101": Listed("SO-101", "example-robot-data:so101.urdf", "--base base_link --flange gripper_frame_link --yes"),
 }  # fmt: skip
 

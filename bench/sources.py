@@ -24,6 +24,7 @@ ROWS = {
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
+    "first_lines": "bench/first_lines.py --out FOLDER",
     "judge_physics": "bench/judge_again.py held transfer --trials 3",
     "long": "bench/soak.py long",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",

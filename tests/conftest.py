@@ -10,12 +10,15 @@ import pytest
 from needs import is_here, reason
 from readers import own_process, read_in_this_process  # noqa: F401 (a fixture)
 
+from r2h_batch.base.io import progress
+
 # CUDA builds of torch bring triton, which ends the process where OSMesa's LLVM was loaded before it (mujoco does that
 # with MUJOCO_GL=osmesa); the other order works
 with suppress(ImportError):
     import triton  # noqa: F401
 
 read_in_this_process()
+progress.SILENT_S = 120.0  # what a command says must not depend on how busy the machine is; tests/base/test_progress.py
 
 INTERPRETERS = ("3.11", "3.12", "3.13")
 LEFT_OUT = pytest.StashKey[Counter[str]]()

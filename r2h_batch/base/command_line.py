@@ -23,6 +23,7 @@ from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_ty
 
 from r2h_batch.base.errors import FileError, MachineError, UsageError, UserError, nearest
 from r2h_batch.base.io.log import LOG, silence
+from r2h_batch.base.io.progress import not_silent
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import expand_home, parse_number, parse_whole_number
 
@@ -179,7 +180,7 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
         return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
     kept, code, stopped = _Kept(sys.stdout), 0, None
     try:
-        with contextlib.redirect_stdout(kept), _warnings_in_a_line(name):
+        with contextlib.redirect_stdout(kept), _warnings_in_a_line(name), not_silent(name):
             code = work()
     except UserError as error:
         code = refuse(name, error)

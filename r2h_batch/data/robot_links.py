@@ -201,13 +201,21 @@ def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
     if not name.startswith("package://"):
         return beside(model.path, name, model.folders)
     package, _, inside = name.removeprefix("package://").partition("/")
-    folder = packages.get(package) or _package_around(model.path, package)
+    folder = packages.get(package) or _package_around(model.path, package, packages.values())
     if folder is None:
         how = f"give --package {printable(package)}=FOLDER"
         raise FileError(f"{model.shown}: {printable(name)[:120]}: {how}")
     return path_within(folder, inside)
 
 
-def _package_around(path: Path, package: str) -> Path | None:
-    """The folder of this name in which the file lies, as ROS has a package."""
-    return next((folder for folder in path.resolve().parents if folder.name == package), None)
+def _package_around(path: Path, package: str, within: Iterable[Path]) -> Path | None:
+    """The folder of this name in which the file lies, as ROS has a package; or that lies beside the file, or beside a folder
+    that holds the file below one of `within`."""
+    if package in ("", ".", ".."):
+        return None
+    above = path.resolve().parents
+    if found := next((folder for folder in above if folder.name == package), None):
+        return found
+    whole = [folder.resolve() for folder in within]
+    known = [f for f in above if f == above[0] or any(f.is_relative_to(w) for w in whole)]
+    return next((f / package for f in known if (f / package).is_dir()), None)

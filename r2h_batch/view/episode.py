@@ -16,7 +16,7 @@ from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import kind_of_action
 from r2h_batch.verdicts import SEXES
 from r2h_batch.view.drawing import Drawing, Witness
-from r2h_batch.view.mjcf import receiver_meshes
+from r2h_batch.view.mjcf import cuff_of, receiver_meshes
 from r2h_batch.view.stored import Reader
 
 Array = NDArray[np.float64]
@@ -74,7 +74,12 @@ class EpisodeDrawing(Drawing):
         mujoco.mju_quat2Mat(R, self.model.site("palm").quat)
         palm = T_world_hand[:3, :3] @ R.reshape(3, 3)[:, 2]
         sex = SEXES.index(row["sex"]) if row.get("sex") in SEXES else None
-        return receiver_meshes(receiver, left=row["side"] == "left", palm=palm, sex=sex)
+        cuff = self._cuff @ T_world_hand[:3, :3].T + T_world_hand[:3, 3]
+        return receiver_meshes(receiver, left=row["side"] == "left", palm=palm, sex=sex, cuff=cuff)
+
+    @cached_property
+    def _cuff(self) -> Array:
+        return cuff_of(self.stored)
 
     def _bend(self, k: int) -> None:
         """The receiver's skin at a step, vertex by vertex: arm, shoulder and trunk stay one surface."""

@@ -60,7 +60,7 @@ from r2h_batch.scene.robot import (
 from r2h_batch.scene.robot_visuals import part_origin
 from r2h_batch.scene.tables import Hands
 from r2h_batch.verdicts import EVERY, SEXES
-from r2h_batch.view.skin import CLOTHED, chair_of, skin_of
+from r2h_batch.view.skin import CLOTHED, chair_of, drawn_hand, skin_of
 from r2h_batch.view.stored import StoredTrial
 
 Array = NDArray[np.float64]
@@ -87,8 +87,6 @@ MARK_COLORS = {
     "target": (0.55, 0.20, 0.75, 0.35), "palm": (0.20, 0.65, 0.35, 1.0),
     "fingers": (0.9, 0.3, 0.2, 0.4), "receiver": (0.55, 0.62, 0.66, 1.0),
 }  # fmt: skip
-SEEN_THROUGH = 0.7
-"""Opacity of torso, legs and upper arm: they may stand before what a picture shows."""
 _BOX, _MESH = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_MESH
 _SPHERE, _CAPSULE = mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_CAPSULE
 _CYLINDER = mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -386,9 +384,25 @@ def _add_hand(spec: mujoco.MjSpec, hands: Hands, stored: StoredTrial) -> None:
     body = spec.worldbody.add_body(name="hand", pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]))
     for i, name in enumerate(hands.model.piece_names):
         _add_convex(spec, body, f"hand/{name}", hands.piece_points(k, i))
-    faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
-    skin = trimesh.Trimesh(hands.vertices[k].double().numpy(), faces, process=False)
+    skin, _ = _drawn(hands, stored)
     _add_surface(spec, body, "hand/mesh_visual", "hand_mesh", skin, "hand")
+
+
+def cuff_of(stored: StoredTrial) -> Array:
+    """Where the drawn hand of a person ends (E, 3), in the hand's frame, m: `view.skin.skin_of` begins there."""
+    return _drawn(_posed(stored.hand_set or load_hand_set()), stored)[1]
+
+
+def _drawn(hands: Hands, stored: StoredTrial) -> tuple[trimesh.Trimesh, Array]:
+    """A trial's hand as it is drawn, in its frame, and where it ends: a person's begins at the wrist."""
+    k = stored.row["hand_index"]
+    faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
+    vertices, end = hands.vertices[k].double().numpy(), np.zeros((0, 3))
+    if stored.receiver is not None:
+        vertices, faces, end = drawn_hand(vertices, faces, hands.joints[k].double().numpy())
+    skin = trimesh.Trimesh(vertices, faces, process=False)
+    skin.remove_unreferenced_vertices()
+    return skin, end
 
 
 def _add_finger_sites(
@@ -469,11 +483,12 @@ def _add_receiver(
     palm = stored.T_world_hand[:3, :3] @ hands.palm_normal[k].double().numpy()
     left = bool(hands.set.side[k])
     who = SEXES.index(sex) if sex in SEXES else None
-    for name, mesh in receiver_meshes(receiver, left=left, palm=palm, sex=who).items():
-        look, alpha = ("receiver", SEEN_THROUGH) if name == "clothes" else ("hand", 1.0)
-        _add_surface(
-            spec, body, f"receiver/{name}_visual", f"receiver_{name}", mesh, look, alpha=alpha
-        )
+    T = stored.T_world_hand
+    cuff = _drawn(hands, stored)[1] @ T[:3, :3].T + T[:3, 3]
+    meshes = receiver_meshes(receiver, left=left, palm=palm, sex=who, cuff=cuff)
+    for name, mesh in meshes.items():
+        look = "receiver" if name == "clothes" else "hand"
+        _add_surface(spec, body, f"receiver/{name}_visual", f"receiver_{name}", mesh, look)
     for i, (middle, half, turn) in enumerate(chair_of(receiver, left=left, sex=who)):
         body.add_geom(
             name=f"receiver/chair_{i}_visual", type=_BOX, pos=middle, quat=quat_wxyz(turn), size=half, group=VISUAL,
@@ -494,11 +509,11 @@ def _add_receiver(
 
 
 def receiver_meshes(
-    receiver: Array, *, left: bool, palm: Array, sex: int | None
+    receiver: Array, *, left: bool, palm: Array, sex: int | None, cuff: Array
 ) -> dict[str, trimesh.Trimesh]:
     """The receiver's skin as two surfaces in the world: `clothes` (one piece from shoulder to feet) and `skin`; arguments
     as of `skin_of`."""
-    parts = skin_of(receiver, left=left, palm=palm, sex=sex)
+    parts = skin_of(receiver, left=left, palm=palm, sex=sex, cuff=cuff)
     found = {}
     for name, clothed in (("clothes", True), ("skin", False)):
         own = [part for part in parts if (part in CLOTHED) == clothed]

@@ -14,10 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.protocols.draw.receivers import SHOES_M, TABLE_HEIGHT_M
 from r2h_batch.scene.arrays import asset, read_arrays
+from r2h_batch.scene.tables import MIDDLE_ROOT
 
 Array = NDArray[np.float64]
 
@@ -63,8 +65,13 @@ CHAIR_DEEP_M, CHAIR_BACK_M, CHAIR_WIDER_M = 0.44, 0.24, 0.05
 CHAIR_THICK_M, CHAIR_LEG_M = 0.018, 0.018
 """The chair of who sits: depth of its seat, half the height of its back, how much wider than the box on each side, half the
 thickness of seat and back, half that of its legs [choice]."""
-SMOOTHED = 40
-"""Steps of smoothing of the borders between clothes and skin, each a mean over a vertex's neighbours."""
+BORDER_M = 0.05
+"""How far from a border between clothes and skin its plane decides what is clothed [choice]: its teeth are shorter."""
+CUFF_M = 0.006
+"""How far ahead of its wrist the drawn hand begins [choice]: behind it lies skin that does not bend with the wrist."""
+BELOW, UNDER_M, WRIST_M = 0.97, 0.004, 0.06
+"""The forearm's end in the hand: its radii over those of the hand's end, how far inside it lies, and how much of the forearm
+bends towards it [choice]."""
 MOST_TWIST = 2.6
 """Largest twist of the forearm, rad: a hand of another make may point anywhere."""
 
@@ -82,6 +89,7 @@ class Skins:
     weights: Array  # (V, 9) by `BONES`, sums 1
     faces: NDArray[np.int64]  # (F, 3)
     geom: NDArray[np.int8]  # (F,) index into `GEOMS`
+    end: NDArray[np.int64]  # (E,) vertices at which the reaching forearm ends
 
     def nearest(self, sizes: Array, sex: int | None) -> int:
         """The person whose first sizes (READ,) are nearest, of a sex or of either."""
@@ -100,7 +108,9 @@ def skins() -> Skins:
     a = read_arrays(asset("people", "skin.npz"))
     weights, n = a["weights"].astype(np.float64), len(JOINTS)
     weights /= weights.sum(1, keepdims=True)
-    cut = smooth_borders(a["faces"].astype(np.int64), a["geom"], len(weights))
+    cut, geom = smooth_borders(
+        a["faces"].astype(np.int64), a["geom"], a["points"].astype(np.float64)[:-n]
+    )
     points = a["points"].astype(np.float64)
     basis = a["basis"] * a["scale"].astype(np.float64)[:, None, None]
 
@@ -108,7 +118,7 @@ def skins() -> Skins:
     wrist = end_of(cut.faces, points[:-n], joints["wrist"])
     along = joints["wrist"] - joints["elbow"]
     along /= np.linalg.norm(along)
-    own = np.unique(cut.faces[cut.geom == GEOMS.index("forearm")])
+    own = np.unique(cut.faces[geom == GEOMS.index("forearm")])
     own = own[own < len(weights)]
     beyond = own[(points[own] - points[wrist].mean(0)) @ along > 0]  # between the teeth of the edge
 
@@ -141,7 +151,8 @@ def skins() -> Skins:
         a["sex"],
         extended(weights),
         cut.faces,
-        cut.geom,
+        geom,
+        wrist,
     )
 
 
@@ -165,12 +176,11 @@ def end_of(faces: NDArray[np.int64], points: Array, joint: Array) -> NDArray[np.
 
 @dataclass(frozen=True, eq=False)
 class Cut:
-    """Faces that are cut along smooth borders: B vertices more, each on an edge."""
+    """Faces that are cut along a line: B vertices more, each on an edge."""
 
     edges: NDArray[np.int64]  # (B, 2)
     share: Array  # (B,) of the edge's second end
     faces: NDArray[np.int64]  # (F, 3)
-    geom: NDArray[np.int8]  # (F,) index into `GEOMS`
 
     def mixed(self, rows: Array) -> Array:
         """Rows of the new vertices, from rows (V, k) of the old ones."""
@@ -178,57 +188,108 @@ class Cut:
         return np.asarray(a + self.share[:, None] * (b - a))
 
 
-def smooth_borders(faces: NDArray[np.int64], geom: NDArray[np.int8], n: int) -> Cut:
-    """The surface cut where the smoothed share of clothes is one half, and not along the edges of its faces.
+def smooth_borders(
+    faces: NDArray[np.int64], geom: NDArray[np.int8], points: Array
+) -> tuple[Cut, NDArray[np.int8]]:
+    """The surface cut by a plane at each border between clothes and skin, and not along the edges of its faces.
 
     Args:
-        faces: (F, 3) of n vertices.
+        faces: (F, 3) of V points.
         geom: (F,) index into `GEOMS`.
-        n: vertices.
+        points: (V, 3) m.
+
+    Returns:
+        The cut, and of each of its faces the index into `GEOMS`.
     """
+    n = len(points)
     clothed = np.isin(geom, [GEOMS.index(name) for name in CLOTHED])
     corners = faces.ravel()
-    ends = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
     share = np.bincount(corners, np.repeat(clothed, 3), n) / np.bincount(corners, minlength=n).clip(
         1
     )
-    near = np.bincount(ends.ravel(), minlength=n).clip(1)
-    for _ in range(SMOOTHED):
-        both = np.concatenate([share[ends[:, 1]], share[ends[:, 0]]])
-        share = (
-            0.5 * share
-            + 0.5 * np.bincount(np.concatenate([ends[:, 0], ends[:, 1]]), both, n) / near
-        )
     above = share - 0.5
-    above[above == 0] = 1e-9
+    ends = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), 1)
+    edges, which, times = np.unique(ends, axis=0, return_inverse=True, return_counts=True)
+    border = edges[(np.bincount(which, np.tile(clothed, 3)) == 1) & (times == 2)]
+    graph = coo_array((np.ones(len(border)), border.T), shape=(n, n))
+    part = connected_components(graph, directed=False)[1]
+    on = np.unique(border)
+    far, nearest = cKDTree(points[on]).query(points)
+    for loop in np.unique(part[on]):
+        own = points[on[part[on] == loop]]
+        middle = own.mean(0)
+        normal = np.linalg.svd(own - middle)[2][2]
+        near = (part[on[nearest]] == loop) & (far < BORDER_M)
+        side = (points[near] - middle) @ normal
+        above[near] = side if side @ above[near] > 0 else -side
+    cut, old, inside = cut_at(faces, above)
+    skin_of_cloth = {GEOMS.index("torso"): "head", GEOMS.index("upper_arm"): "forearm"}
+    cloth_of_skin = {GEOMS.index("head"): "torso", GEOMS.index("forearm"): "upper_arm"}
+    labels = []
+    for label, cloth in zip(geom[old].tolist(), inside.tolist(), strict=True):
+        other = (cloth_of_skin if cloth else skin_of_cloth).get(label)
+        labels.append(label if other is None else GEOMS.index(other))
+    return cut, np.array(labels, np.int8)
+
+
+def cut_at(
+    faces: NDArray[np.int64], above: Array
+) -> tuple[Cut, NDArray[np.int64], NDArray[np.bool_]]:
+    """A surface cut where a value of its V vertices is 0.
+
+    Args:
+        faces: (F, 3).
+        above: (V,).
+
+    Returns:
+        The cut; of each of its faces the face that it is a part of, and whether the value is positive there.
+    """
+    n = len(above)
+    above = np.where(above == 0, 1e-9, above)
     inside = above > 0
     new: dict[tuple[int, int], int] = {}
 
     def between(a: int, b: int) -> int:
         return new.setdefault((min(a, b), max(a, b)), n + len(new))
 
-    made, labels = [], []
-    skin_of_cloth = {GEOMS.index("torso"): "head", GEOMS.index("upper_arm"): "forearm"}
-    cloth_of_skin = {GEOMS.index("head"): "torso", GEOMS.index("forearm"): "upper_arm"}
-
-    def label(old: int, cloth: bool) -> int:
-        other = (cloth_of_skin if cloth else skin_of_cloth).get(old)
-        return old if other is None else GEOMS.index(other)
-
-    for face, old in zip(faces.tolist(), geom.tolist(), strict=True):
+    made, of, sides = [], [], []
+    for i, face in enumerate(faces.tolist()):
         own = inside[face]
         if own.all() or not own.any():
             made.append(face)
-            labels.append(label(old, bool(own[0])))
+            of.append(i)
+            sides.append(bool(own[0]))
             continue
         k = int(np.flatnonzero(own == (own.sum() == 1))[0])  # the corner that is alone
         a, b, c = face[k], face[(k + 1) % 3], face[(k + 2) % 3]
         p, q = between(a, b), between(a, c)
         made += [[a, p, q], [p, b, c], [p, c, q]]
-        labels += [label(old, bool(inside[a])), *[label(old, bool(inside[b]))] * 2]
+        of += [i] * 3
+        sides += [bool(inside[a]), *[bool(inside[b])] * 2]
     edges = np.array(sorted(new, key=lambda edge: new[edge]), np.int64).reshape(-1, 2)
     a, b = above[edges[:, 0]], above[edges[:, 1]]
-    return Cut(edges, a / (a - b), np.array(made, np.int64), np.array(labels, np.int8))
+    cut = Cut(edges, a / (a - b), np.array(made, np.int64))
+    return cut, np.array(of, np.int64), np.array(sides, np.bool_)
+
+
+def drawn_hand(
+    vertices: Array, faces: NDArray[np.int64], joints: Array
+) -> tuple[Array, NDArray[np.int64], Array]:
+    """A hand in front of its wrist alone, and the line at which it ends: the forearm's skin begins there.
+
+    Args:
+        vertices: (V, 3) m, in any frame.
+        faces: (F, 3).
+        joints: (16, 3) as in `scene.hand`: the wrist, and the root of the middle finger.
+
+    Returns:
+        Vertices, faces, and the points (E, 3) of the end; none where the hand has nothing behind its wrist.
+    """
+    wrist, ahead = joints[0], joints[MIDDLE_ROOT] - joints[0]
+    ahead = ahead / np.linalg.norm(ahead)
+    cut, _, inside = cut_at(faces, (vertices - wrist) @ ahead - CUFF_M)
+    new = cut.mixed(vertices)
+    return np.concatenate([vertices, new]), cut.faces[inside], new
 
 
 @dataclass(frozen=True)
@@ -259,8 +320,9 @@ class Placed:
 
 
 def skin_of(
-    receiver: Array, *, left: bool, palm: Array | None = None, sex: int | None = None
-) -> dict[str, tuple[Array, NDArray[np.int64]]]:
+    receiver: Array, *, left: bool, palm: Array | None = None, sex: int | None = None,
+    cuff: Array | None = None,
+) -> dict[str, tuple[Array, NDArray[np.int64]]]:  # fmt: skip
     """The skin of a person as surfaces: vertices (V, 3), world, m, and faces, by the names of `GEOMS`.
 
     Args:
@@ -268,6 +330,8 @@ def skin_of(
         left: whether the left arm reaches.
         palm: (3,) unit normal out of the receiving hand's palm, world: the forearm turns with it. None: it does not.
         sex: 0 male, 1 female; None: that of the nearest person.
+        cuff: (E, 3) where the drawn hand ends (`drawn_hand`), world, m: the forearm ends below it. None or no points: the
+            forearm ends at the wrist.
     """
     every, at = skins(), Placed.of(np.asarray(receiver, np.float64), left)
     who = every.nearest(at.sizes, sex)
@@ -277,8 +341,47 @@ def skin_of(
     moved = _moved(rest, joints, own, at, normal)
     local = np.einsum("vb,bvk->vk", every.weights, np.stack([moved[b] for b in BONES]))
     world = at.origin + local @ at.axes.T
+    if cuff is not None and len(cuff):
+        fore = np.unique(every.faces[every.geom == GEOMS.index("forearm")])
+        world[fore] = _below(world[fore], np.isin(fore, every.end), cuff, receiver[1:3, :3])
     faces = every.faces[:, ::-1] if left else every.faces
     return {name: (world, faces[every.geom == k]) for k, name in enumerate(GEOMS)}
+
+
+def _below(fore: Array, end: NDArray[np.bool_], cuff: Array, bone: Array) -> Array:
+    """The forearm's vertices (V, 3) with its end below the end of the drawn hand: those near the wrist go with it.
+
+    Args:
+        fore: (V, 3) world, m.
+        end: (V,) which of them are its end.
+        cuff: (E, 3) the end of the hand.
+        bone: (2, 3) elbow and wrist.
+    """
+    along = (bone[1] - bone[0]) / np.linalg.norm(bone[1] - bone[0])
+    normal = np.linalg.svd(cuff - cuff.mean(0))[2][2]
+    normal *= np.sign(normal @ along)
+    middle = 0.5 * (cuff.min(0) + cuff.max(0))
+    x = np.linalg.svd(np.eye(3) - np.outer(along, along))[0][:, 0]
+    y = np.cross(along, x)
+
+    def angle(points: Array, about: Array) -> Array:
+        return np.asarray(np.arctan2((points - about) @ y, (points - about) @ x))
+
+    around = angle(cuff, middle)
+    order = np.argsort(around)
+    inner = middle + BELOW * (cuff[order] - middle) + UNDER_M * normal
+    now = angle(fore, fore[end].mean(0))
+    there = _periodic(now[end], around[order], inner)
+    by = np.argsort(now[end])
+    off = _periodic(now, now[end][by], (there - fore[end])[by])
+    behind = np.clip((fore[end] @ along).min() - fore @ along, 0.0, WRIST_M) / WRIST_M
+    share = np.where(end, 1.0, (1.0 - behind) ** 2 * (1.0 + 2.0 * behind))
+    return np.asarray(fore + share[:, None] * off)
+
+
+def _periodic(at: Array, angles: Array, rows: Array) -> Array:
+    """Rows (A, 3) at sorted angles (A,) interpolated at other angles, rad."""
+    return np.stack([np.interp(at, angles, column, period=2 * np.pi) for column in rows.T], 1)
 
 
 def sits(at: Placed, own: dict[str, float]) -> bool:

@@ -4,7 +4,9 @@ import re
 import threading
 import time
 
-from r2h_batch.base.io.log import LOG
+from r2h_batch.base.command_line import exit_code_of
+from r2h_batch.base.io import progress as progress_file
+from r2h_batch.base.io.log import LOG, lines_said, telling
 from r2h_batch.base.io.progress import progress
 
 
@@ -39,3 +41,33 @@ def test_the_speed_is_that_of_what_had_to_be_done(monkeypatch):
         assert any(heard.acquire(timeout=20) and "34/86" in said[-1] for _ in range(100))
     speed, left = map(float, re.findall(r"([\d.]+) objects/s, (\d+) s left", said[-1])[0])
     assert speed <= 2 / 0.5 and left >= 52 / 4 - 1
+
+
+def test_a_command_that_says_nothing_says_that_it_works_until_it_speaks(monkeypatch, capsys):
+    monkeypatch.setattr(progress_file, "SILENT_S", 0.1)
+    monkeypatch.setattr(progress_file, "EVERY_S", 0.1)
+
+    def waits(lines):
+        before, end = lines_said(), time.monotonic() + 20.0
+        while lines_said() < before + lines and time.monotonic() < end:
+            time.sleep(0.01)
+        return int(lines_said() < before + lines)
+
+    assert exit_code_of("figures", lambda: waits(2)) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2 and {*lines} == {"figures: working, 0 s"}
+
+    def speaks():
+        code = waits(1)
+        LOG.info("two pictures")
+        time.sleep(0.3)
+        return code
+
+    assert exit_code_of("figures", speaks) == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) >= 2 and lines[-1] == "two pictures" and {*lines[:-1]} == {"figures: working, 0 s"}
+    assert exit_code_of("figures", lambda: 0) == 0  # short: nothing, and no thread is left
+    assert capsys.readouterr().err == "" and not [t for t in threading.enumerate() if "not silent" in t.name]
+    with telling(quiet=True):
+        assert exit_code_of("figures", lambda: time.sleep(0.3) or 0) == 0
+    assert capsys.readouterr().err == ""

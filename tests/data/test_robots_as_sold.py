@@ -282,6 +282,26 @@ def test_a_comment_about_xacro_is_not_a_program_and_a_file_finds_the_package_tha
         read_arm(write_urdf(folder, **{'"parts/block.stl"': '"package://other/block.stl"'}), bare=True)
 
 
+def test_a_package_may_lie_beside_the_file_or_in_the_folder_of_a_package(tmp_path):
+    """As wheels of simulators have it: xarm/xarm6.urdf beside xarm/xarm_description/."""
+    around = tmp_path / "around"
+    named = {'"parts/block.stl"': '"package://made/block.stl"'}
+    (folder := around / "arms" / "one").mkdir(parents=True)
+    path = write_urdf(folder, **named)
+    (folder / "parts").rename(around / "made")
+    with one_line("give --package made=FOLDER"):  # two folders above: nobody's package
+        read_arm(path, bare=True)
+    part = read_chain(read_model(path), "base", "flange").links[5]
+    assert link_of(part, Meshes(read_model(path), files_of(part), {"around": around})).meshed == 12
+    with one_line("give --package made=FOLDER"):
+        link_of(part, Meshes(read_model(path), files_of(part), {"around": tmp_path / "other"}))
+    (around / "made").rename(folder / "made")
+    assert read_arm(path, bare=True)[1][5].meshed == 12
+    for name in ("..", "."):
+        with one_line("--package"):
+            read_arm(write_urdf(folder, **{'"parts/block.stl"': f'"package://{name}/one/made/block.stl"'}), bare=True)
+
+
 def test_a_mesh_named_by_an_absolute_url_is_read_below_the_files_folder_or_a_packages(tmp_path):
     def named(folder: Path, mesh: Path) -> Path:
         folder.mkdir(exist_ok=True)

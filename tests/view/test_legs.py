@@ -1,5 +1,8 @@
 """Legs of picking before a stored motion, and the leg in which a pick fails (r2h_batch.view.legs)."""
 
+import json
+import re
+
 import numpy as np
 import pytest
 import torch
@@ -12,6 +15,8 @@ from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.view import pictures
 from r2h_batch.view.drawing import Drawing, view_of
+from r2h_batch.view.lab.folder import write_trial
+from r2h_batch.view.lab.sheets import object_sheet
 from r2h_batch.view.stored import Reader
 
 NEAR_M = 2e-3
@@ -124,6 +129,35 @@ def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(reader, mo
     assert seconds == sorted(seconds)
     assert np.allclose(postures[0], drawing.stored.workplace.home_q)
     assert drawing.bounds().shape[0] > drawing.legs[0].bounds().shape[0]
+
+
+def test_a_laboratory_gets_the_paths_to_the_object_and_up_before_the_carry(reader, tmp_path):
+    stored = reader.trial(passing(reader), "fc")
+    write_trial(stored, tmp_path, step_s=0.05, tcp_speed=0.25)
+    ways = {}
+    for name in each(("pick", "lift", "there", "back")):
+        assert (tmp_path / f"{name}.ros2.json").exists() and (tmp_path / f"{name}.script").exists()
+        lines = (tmp_path / f"{name}.csv").read_text().splitlines()
+        head = lines[0].split(",")
+        own = [head.index(f"q_{j}") for j in stored.robot.joints]
+        ways[name] = np.array([[float(line.split(",")[k]) for k in own] for line in lines[1:]])
+    drawn, T = object_sheet(stored.before[0]), stored.before[0].resting
+    outline = drawn.shapes[0][0]
+    assert np.allclose(outline, (stored.object_model.vertices @ T[:3, :3].T + T[:3, 3])[:, :2], atol=1e-9)
+    assert np.abs(np.array(drawn.cross) - outline.mean(0)).max() <= 0.025 + 1e-9
+    assert (tmp_path / "object.pdf").stat().st_size > 1000
+    assert np.allclose(ways["pick"][0], stored.workplace.home_q, atol=1e-6)
+    for a, b in each((("pick", "lift"), ("lift", "there"), ("there", "back"))):
+        gap = ways[a][-1] - ways[b][0]
+        assert np.allclose(gap - 2 * np.pi * np.round(gap / (2 * np.pi)), 0.0, atol=2e-3)
+    about = json.loads((tmp_path / "trial.json").read_text())
+    assert np.allclose(np.radians(about["lab"]["joints_deg"]["home"]), stored.workplace.home_q, atol=1e-4)
+    loads = [
+        re.search(r"set_target_payload\(([0-9.]+)|set_payload\(([0-9.]+)", (tmp_path / f"{n}.script").read_text())
+        for n in ("pick", "lift")
+    ]
+    light, heavy = (float(next(g for g in found.groups() if g)) for found in loads)
+    assert heavy - light == pytest.approx(stored.object_model.mass, abs=1e-3)
 
 
 def test_strips_begin_with_the_grasp_on_the_table_and_the_lift(reader):

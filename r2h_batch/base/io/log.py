@@ -17,8 +17,14 @@ MOST_KEPT = 1000
 """Lines kept until there is a log file."""
 
 
+_said = 0
+"""Lines on stderr so far."""
+
+
 class _Stderr(logging.Handler):
     def emit(self, record: logging.LogRecord) -> None:
+        global _said
+        _said += 1
         try:
             print(printable(record.getMessage(), keep="\n"), file=sys.stderr, flush=True)
         except (OSError, ValueError):
@@ -75,6 +81,11 @@ def telling(*, quiet: bool = False, verbose: bool = False) -> Iterator[Callable[
         _stderr.setLevel(level)
         for handler in added:
             LOG.removeHandler(handler)
+
+
+def lines_said() -> int:
+    """How many lines stderr has got since the program began."""
+    return _said
 
 
 def is_quiet() -> bool:

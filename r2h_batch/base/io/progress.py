@@ -8,10 +8,12 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 
-from r2h_batch.base.io.log import LOG, is_quiet
+from r2h_batch.base.io.log import LOG, is_quiet, lines_said
 
 FIRST_S = 4.0
 """Work that takes longer gets its first line about then."""
+SILENT_S = 3.5
+"""A command that has said nothing by then says that it works: before it come the seconds in which it is imported."""
 EVERY_S = 15.0
 """Between further lines."""
 FREE_S = 1.0
@@ -81,6 +83,31 @@ def progress(
     speaker.start()
     try:
         yield count
+    finally:
+        ended.set()
+        speaker.join()
+
+
+@contextlib.contextmanager
+def not_silent(name: str) -> Iterator[None]:
+    """Says every few seconds that a command works, until anything else is said: reading and drawing come before what
+    `progress` counts.
+
+    Args:
+        name: of the command.
+    """
+    ended, before, start = threading.Event(), lines_said(), time.perf_counter()
+
+    def speak() -> None:
+        wait, own = SILENT_S, 0
+        while not ended.wait(wait) and lines_said() == before + own and not _bars:
+            LOG.info(f"{name}: working, {time.perf_counter() - start:.0f} s")
+            wait, own = EVERY_S, lines_said() - before
+
+    speaker = threading.Thread(target=speak, name=f"{name} is not silent", daemon=True)
+    speaker.start()
+    try:
+        yield
     finally:
         ended.set()
         speaker.join()

@@ -20,6 +20,7 @@ from pydantic import TypeAdapter
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
@@ -266,21 +267,25 @@ def reevaluate(
     LOG.info(f"{method}: judging {len(chosen)} of {total} rows again")
     differences: list[Difference] = []
     unequal: set[int] = set()
-    for place, index in enumerate(sizes):
-        rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
-        if not len(rows):
-            continue
-        files = entry.shards[index].kinds
-        kinds: list[str] = [k for k in ("trials", "poses", "details", "paths") if k in files]
-        kinds += ["episodes"] if judge.loop is not None and "episodes" in files else []
-        stored = {kind: run.shard(kind, method, index) for kind in kinds}
-        ids = stored["trials"]["trial_id"].take(pa.array(rows))
-        stored = {k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()}
-        if job is not None:
-            other, moved = _differing_answers(job, ids.to_numpy(), stored["poses"], judge)
-            differences, unequal = differences + other, unequal | moved
-        as_motions = entry.source.get("kind") == "motions"
-        differences += _differing_rows(run, stored, as_motions, judge)
+    with progress(f"{method}: judging again", len(chosen), "rows") as told:
+        for place, index in enumerate(sizes):
+            rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
+            if not len(rows):
+                continue
+            files = entry.shards[index].kinds
+            kinds: list[str] = [k for k in ("trials", "poses", "details", "paths") if k in files]
+            kinds += ["episodes"] if judge.loop is not None and "episodes" in files else []
+            stored = {kind: run.shard(kind, method, index) for kind in kinds}
+            ids = stored["trials"]["trial_id"].take(pa.array(rows))
+            stored = {
+                k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()
+            }
+            if job is not None:
+                other, moved = _differing_answers(job, ids.to_numpy(), stored["poses"], judge)
+                differences, unequal = differences + other, unequal | moved
+            as_motions = entry.source.get("kind") == "motions"
+            differences += _differing_rows(run, stored, as_motions, judge)
+            told(len(rows))
     unequal |= {d.trial_id for d in differences}
     if judge.other:
         differences = [d for d in differences if not _close(d)]

@@ -13,10 +13,12 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.study.real import OUTCOME_COLUMNS
 from r2h_batch.view.lab.frames import T_base_world, pendant, turn_vector
 from r2h_batch.view.lab.paths import csv_of, path_of, ros2_of, urscript_of
-from r2h_batch.view.lab.sheets import grasp_sheet, hand_sheet, write_sheet
+from r2h_batch.view.lab.sheets import grasp_sheet, hand_sheet, object_sheet, write_sheet
 from r2h_batch.view.mjcf import describe
 from r2h_batch.view.stored import StoredTrial
 
+LEGS = ("pick", "lift")
+"""Files of the legs before a motion."""
 SAFETY = """\
 Before anything moves
 1. Do a risk assessment of your cell (ISO 10218-2, ISO/TS 15066). These files are no safety function.
@@ -36,6 +38,9 @@ def write_trial(
 ) -> dict[str, Any]:
     """One trial's folder: there.* and back.* (CSV, ROS 2, URScript of a UR), hand.pdf, grasp.pdf, trial.json.
 
+    A trial that begins on the table has pick.*, lift.* and object.pdf too: with the open gripper to the grasp, up with the
+    closed one, and where the object rests.
+
     Args:
         stored: a trial with a path.
         folder: where its folder goes.
@@ -51,25 +56,30 @@ def write_trial(
     row, robot, model = stored.row, stored.robot, stored.object_model
     there = path_of(stored, step_s=step_s, tcp_speed=tcp_speed)
     title = f"trial {row['trial_id']}, {model.name}, {stored.method}"
+    sheets = {"hand": hand_sheet(stored), "grasp": grasp_sheet(stored)}
+    if stored.before:
+        sheets["object"] = object_sheet(stored.before[0])
     papers = {
         name: write_sheet(drawn, f"{title}: {name}", folder / f"{name}.pdf")
-        for name, drawn in (("hand", hand_sheet(stored)), ("grasp", grasp_sheet(stored)))
+        for name, drawn in sheets.items()
     }
     load_kg, load_m = load_of(stored)
-    for name, path in (("there", there), ("back", there.back)):
+    legs = [path_of(leg, step_s=step_s, tcp_speed=tcp_speed) for leg in stored.before]
+    named = [*zip(LEGS, legs, strict=False), ("there", there), ("back", there.back)]
+    for name, path in named:
         write_text(folder / f"{name}.csv", csv_of(path))
         write_json(folder / f"{name}.ros2.json", ros2_of(path))
         if robot.family == "ur":
             own = (
                 (load_kg, load_m)
-                if name == "there"
+                if name in ("there", "lift")
                 else (robot.linkage.mass_kg, gripper_com(robot))
             )
             program = urscript_of(
                 path, f"r2h_{row['trial_id']}_{name}", robot, load_kg=own[0], load_m=own[1]
             )
             write_text(folder / f"{name}.script", program)
-    T = robot.T_flange_ee
+    T, first = robot.T_flange_ee, (*stored.before, stored)[0]
     about = describe(stored)
     about["lab"] = {
         "frames": "world = base_link of ROS 2; a UR's pendant counts in base, turned by half a turn about z",
@@ -79,12 +89,12 @@ def write_trial(
             *turn_vector(T[:3, :3]).round(6).tolist(),
         ],
         "pendant_mm_rad": {
-            "home_tcp": pendant(_tcp_at(stored, 0)),
+            "home_tcp": pendant(_tcp_at(first, 0)),
             "handover_tcp": pendant(stored.T_world_ee),
             "hand": pendant(stored.T_world_hand),
         },
         "joints_deg": {
-            "home": np.degrees(stored.q[0]).round(3).tolist(),
+            "home": np.degrees(first.q[0]).round(3).tolist(),
             "handover": np.degrees(stored.q[-1]).round(3).tolist(),
         },
         "payload_kg": round(load_kg, 4),

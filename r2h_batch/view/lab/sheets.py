@@ -106,6 +106,28 @@ def grasp_sheet(stored: StoredTrial) -> Drawn:
     )
 
 
+def object_sheet(leg: StoredTrial) -> Drawn:
+    """The object from above as it rests on the table in the world's frame, with a cross at round coordinates.
+
+    Args:
+        leg: of a trial that begins on the table, the one to the grasp.
+    """
+    assert leg.resting is not None
+    R, p = leg.resting[:3, :3], leg.resting[:3, 3]
+    points = leg.object_model.vertices @ R.T + p
+    place = leg.workplace
+    table = place.table_center[2] + place.table_half[2]
+    cross = (np.round(points[:, :2].mean(0) / GRID_M) * GRID_M).tolist()
+    words = (
+        f"Cross: {1000 * cross[0]:.0f} mm along x and {1000 * cross[1]:.0f} mm along y of base_link (ROS 2);"
+        f" {-1000 * cross[0]:.0f} and {-1000 * cross[1]:.0f} mm on a UR's pendant.",
+        f"{leg.object_model.name} rests on its outline; its highest point is {_mm(points[:, 2].max() - table)} above the table.",
+    )
+    faces = np.asarray(leg.object_model.faces, np.int64)
+    shadow = ((points[:, :2], faces, "#9fb8c8"),)
+    return Drawn(shadow, words, "x of base_link", "y", (cross[0], cross[1]))
+
+
 def _mm(metres: float) -> str:
     return f"{1000 * metres:.0f} mm"
 
