@@ -2205,8 +2205,8 @@ MUTATIONS = (
     Mutation(
         "moments: drawn by row",
         "r2h_batch/observe/moment.py",
-        "u = rng.uniforms(key, ids[rows], 3",
-        "u = rng.uniforms(key, rows, 3",
+        "rng.uniforms(key, ids[rows][of], 3",
+        "rng.uniforms(key, rows[of], 3",
         (f"{T_RAYS}::test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted",),
     ),
     Mutation(
@@ -2611,8 +2611,8 @@ MUTATIONS = (
     Mutation(
         "draft r2h-v3: moments of other hands are taken for this one's",
         "r2h_batch/observe/known.py",
-        "trials.hand_index, trials.T_world_hand]\n        decide +=",
-        "trials.hand_index]\n        decide +=",
+        "trials.hand_index, trials.T_world_hand]\n    decide +=",
+        "trials.hand_index]\n    decide +=",
         (f"{T_FROM_TABLE}::test_moments_are_drawn_once_and_are_those_of_any_draw",),
     ),
     Mutation(
