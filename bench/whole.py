@@ -192,7 +192,7 @@ def markdown(data: Any) -> str:
     )
 
 
-def certified_trials() -> tuple[Any, tuple[str, ...]]:
+def certified_trials() -> tuple[Any, list[str]]:
     """The shipped certificates, and the object that each of their trials had as it was drawn first."""
     from dataclasses import replace
 
