@@ -33,6 +33,7 @@ class Mutation(NamedTuple):
 
 
 T_FROM_TABLE = "tests/protocols/test_from_table.py"
+T_CERTIFIED = "tests/protocols/test_certified.py"
 METRICS, VERDICT, ROWS = "r2h_batch/judge/metrics.py", "kernels/judge/verdict.py", "kernels/judge/rows.py"
 T_METRICS, T_ROWS, T_MOTION = (
     "tests/judge/test_metrics.py",
@@ -2204,8 +2205,8 @@ MUTATIONS = (
     Mutation(
         "moments: drawn by row",
         "r2h_batch/observe/moment.py",
-        "u = rng.uniforms(key, ids[rows], 3",
-        "u = rng.uniforms(key, rows, 3",
+        "rng.uniforms(key, ids[rows][of], 3",
+        "rng.uniforms(key, rows[of], 3",
         (f"{T_RAYS}::test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted",),
     ),
     Mutation(
@@ -2718,6 +2719,48 @@ MUTATIONS = (
         "asks = ASKED_NAMES[: 1 + UNTIL.index(",
         "asks = ASKED_NAMES[: 2 + UNTIL.index(",
         (f"{T_FROM_TABLE}::test_a_benchmark_may_end_before_the_giving",),
+    ),
+    Mutation(
+        "draft r2h-v3: a trial that is drawn again has its first moment",
+        "r2h_batch/observe/moment.py",
+        "again(f\"moment {seed}\", k)",
+        "f\"moment {seed}\"",
+        (f"{T_CERTIFIED}::test_only_what_was_drawn_again_is_another_trial_with_another_moment",),
+    ),
+    Mutation(
+        "draft r2h-v3: trials that were drawn again come in another order",
+        "r2h_batch/protocols/draw/rule.py",
+        "np.argsort(np.concatenate(groups))",
+        "np.concatenate(groups)",
+        (f"{T_CERTIFIED}::test_trials_have_the_same_bits_alone_and_in_any_order",),
+    ),
+    Mutation(
+        "draft r2h-v3: certificates hold for any benchmark",
+        "r2h_batch/protocols/benchmark.py",
+        "certified is not None and certified.benchmark == self.undrawn_digest",
+        "certified is not None",
+        (f"{T_CERTIFIED}::test_the_digest_covers_the_redraws_and_certificates_hold_for_no_other_benchmark",),
+    ),
+    Mutation(
+        "draft r2h-v3: the digest does not know the redraws",
+        "r2h_batch/protocols/benchmark.py",
+        "        if (certified := self.own_certified) is None:\n",
+        "        if (certified := self.own_certified) is None or self.robot:\n",
+        (f"{T_CERTIFIED}::test_the_digest_covers_the_redraws_and_certificates_hold_for_no_other_benchmark",),
+    ),
+    Mutation(
+        "draft r2h-v3: an unsolved trial counts as certified",
+        "r2h_batch/protocols/certified.py",
+        "        return here & self.solved[at]\n",
+        "        return here\n",
+        (f"{T_CERTIFIED}::test_a_trial_without_an_answer_is_not_certified",),
+    ),
+    Mutation(
+        "draft r2h-v3: the oracle forgets the certificate",
+        "r2h_batch/methods/oracle.py",
+        "    if for_ == \"success\" and len(todo):",
+        "    if for_ == \"reception\" and len(todo):",
+        (f"{T_CERTIFIED}::test_the_oracle_answers_with_the_certificate_where_its_search_finds_nothing",),
     ),
     Mutation(
         "draft r2h-v3: rows of a run without pick have its columns",

@@ -15,6 +15,7 @@ from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.windows import middles, window_corners
+from r2h_batch.protocols.draw.rule import again
 from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
@@ -41,7 +42,8 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
 
     An object rests on its stable side (`resting_rotation`), turned about the vertical by a uniform angle, its box's middle
     uniform in `PLACE_X` x `PLACE_Y`. Drawn by (seed, trial id), and again while it leaves the table, touches the robot or the
-    person, or is hidden from a post of cell-v1. The draw knows no other rig, so all rigs see the same moments.
+    person, or is hidden from a post of cell-v1. The draw knows no other rig, so all rigs see the same moments. A trial that
+    was drawn again (`Benchmark.redraws`) has another one.
 
     Args:
         scene: robot at home, objects, hands, table.
@@ -54,7 +56,9 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
     Raises:
         UserError: an object finds no place.
     """
-    ids, key = trial_ids(trials.trial_id), rng.key_of(f"moment {seed}")
+    ids = trial_ids(trials.trial_id)
+    redraws = scene.benchmark.redraws(ids)
+    keys = {k: rng.key_of(again(f"moment {seed}", k)) for k in np.unique(redraws).tolist()}
     rests = _rests(scene.objects, trials)
     hand_y = trials.T_world_hand[:, 1, 3].cpu().numpy()
     found = np.empty((len(ids), 4, 4), np.float64)
@@ -62,7 +66,11 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
     def propose(
         rows: NDArray[np.int64], attempt: int | NDArray[np.int64]
     ) -> tuple[NDArray[np.bool_], tuple[Array]]:
-        u = rng.uniforms(key, ids[rows], 3, purpose=_PLACE, attempt=attempt)
+        u = np.empty((3, len(rows)))
+        for k, key in keys.items():
+            of = redraws[rows] == k
+            tries = np.broadcast_to(attempt, len(rows))[of]
+            u[:, of] = rng.uniforms(key, ids[rows][of], 3, purpose=_PLACE, attempt=tries)
         own = [rests[i] for i in rows]
         T, fits = _placed(own, u, hand_y[rows], scene)
         inside = np.flatnonzero(fits)

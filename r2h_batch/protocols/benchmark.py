@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, Self
 import numpy as np
 import torch
 from jaxtyping import Int64
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.registry import LISTED, PRESET_NAMES
@@ -31,6 +32,7 @@ from r2h_batch.base.validate import (
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
+from r2h_batch.protocols.certified import Answers, Certified
 from r2h_batch.protocols.draw.rule import Rule
 from r2h_batch.protocols.trials_file import Labels, listed_with_ids
 from r2h_batch.scene.hand import HandSet, load_hand_set
@@ -79,6 +81,7 @@ class Benchmark:
         seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
         asks: criteria beside those of all benchmarks: none, or the first of `ASKED_NAMES`. With pick the object rests on the
             table first; with received and taken the person takes it in the end.
+        certified: trials that were drawn again until they were known to have a whole way. Of another benchmark they say nothing.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -95,6 +98,7 @@ class Benchmark:
     labels: Labels | None = None
     seed: str = ""
     asks: tuple[str, ...] = ()
+    certified: Certified | None = None
 
     def __post_init__(self) -> None:
         instance_of(Rule, "a Rule of r2h_batch.protocols.draw.rule")("rule", self.rule)
@@ -148,6 +152,55 @@ class Benchmark:
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
         file said it."""
+        if (certified := self.own_certified) is None:
+            return self._digest
+        return hashlib.sha256(f"{self._digest} redrawn {certified.digest}".encode()).hexdigest()
+
+    @cached_property
+    def undrawn_digest(self) -> str:
+        """The digest of the same trials drawn once and judged by all criteria, with the objects as they lie in their own
+        files: what certificates are for."""
+        own = tuple(o if o.turn is None else o.turn.own for o in self.objects)
+        return replace(self, objects=own, asks=ASKED_NAMES, certified=None)._digest
+
+    @cached_property
+    def own_certified(self) -> Certified | None:
+        """The certificates, where they are those of these trials."""
+        certified = self.certified
+        fits = certified is not None and certified.benchmark == self.undrawn_digest
+        return certified if fits else None
+
+    def redraws(self, trial_id: NDArray[np.int64]) -> NDArray[np.int64]:
+        """How often trials were drawn again until they were known to have a whole way.
+
+        Args:
+            trial_id: (n,) ids.
+
+        Returns:
+            (n,) 0 for trials that are as they were drawn first.
+        """
+        certified = self.own_certified
+        return (
+            np.zeros(len(trial_id), np.int64)
+            if certified is None
+            else certified.redraws_of(trial_id)
+        )
+
+    def certificates(self, trial_id: NDArray[np.int64]) -> Answers:
+        """Answers that are known to solve trials, with the motion as planned; none where objects stand in other frames.
+
+        Args:
+            trial_id: (n,) ids.
+        """
+        certified = self.own_certified
+        if certified is not None and not any(o.turn for o in self.objects):
+            return certified.answers(trial_id)
+        nothing = np.tile(np.eye(4, dtype=np.float32), (len(trial_id), 1, 1))
+        return Answers(np.zeros(len(trial_id), bool), nothing, nothing)
+
+    @cached_property
+    def _digest(self) -> str:
+        """`digest` of trials that are drawn once."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())

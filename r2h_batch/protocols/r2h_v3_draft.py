@@ -7,6 +7,7 @@ Not frozen: trials, criteria and thresholds may change (docs/pick.md).
 from dataclasses import replace
 
 from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.certified import load_certified
 from r2h_batch.protocols.draw.reaching import place_reaching
 from r2h_batch.protocols.draw.rule import Rule
 from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
@@ -17,4 +18,5 @@ from r2h_batch.verdicts import ASKED_NAMES
 def r2h_v3_draft() -> Benchmark:
     """r2h-v2 with Pick, Received and Taken, and trials of its own."""
     rule = Rule("r2h-v3-draft", place_reaching, bodies=True)
-    return replace(named_benchmark("r2h-v2"), rule=rule, name="r2h-v3-draft", asks=ASKED_NAMES)
+    v2, known = named_benchmark("r2h-v2"), load_certified("r2h-v3-draft")
+    return replace(v2, rule=rule, name="r2h-v3-draft", asks=ASKED_NAMES, certified=known)

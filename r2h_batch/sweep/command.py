@@ -21,6 +21,7 @@ from r2h_batch.sweep.options import Options, parse
 if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.runs.store import Run
+    from r2h_batch.sweep.jobs import Setting
     from r2h_batch.sweep.request import Request, Storage
     from r2h_batch.sweep.scoring import Scoring
 
@@ -151,6 +152,10 @@ def _run(
             shares := request.trials.shares(setting.evaluator.benchmark, setting.header["trials"])
         ):
             LOG.info(f"sweep: {shares}")
+        if setting.evaluator.benchmark.certified is not None and (left := _uncertified(setting)):
+            LOG.info(
+                f"sweep: {left} of {setting.planned} trials are not known to have a whole way (docs/pick.md#certificates)"
+            )
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
         jobs = sweep_jobs.make_jobs(methods, files, setting)
@@ -277,3 +282,11 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
         sys.stdout.flush()
     LOG.info(f"run folder: {storage.folder}")
     return code
+
+
+def _uncertified(setting: "Setting") -> int:
+    """How many trials of a benchmark with certificates have none."""
+    own = setting.evaluator.benchmark.own_certified
+    return setting.planned - (
+        0 if own is None else int(own.knows(setting.ids(0, setting.planned).numpy()).sum())
+    )

@@ -71,6 +71,16 @@ class Placed(NamedTuple):
     person: NDArray[np.float32] | None = None
 
 
+def again(seed: str, redraws: int) -> str:
+    """The seed of trials that were drawn again.
+
+    Args:
+        seed: of those that were not.
+        redraws: how often.
+    """
+    return f"{seed} redraw {redraws}" if redraws else seed
+
+
 @dataclass(frozen=True)
 class Rule:
     """Draws the trials of a benchmark.
@@ -96,9 +106,27 @@ class Rule:
         Raises:
             ValueError: a trial's split has no object, or no hand fits table and home.
         """
-        n, people = len(trial_id), benchmark.people
         seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name
-        object_index, side = assign_objects(trial_id, [o.split for o in benchmark.objects])
+        redraws = benchmark.redraws(trial_id)
+        if not redraws.any():
+            return self._drawn(benchmark, trial_id, seed, 0)
+        counts = np.unique(redraws).tolist()
+        groups = [np.flatnonzero(redraws == k) for k in counts]
+        parts = [
+            self._drawn(benchmark, trial_id[rows], again(seed, k), k)
+            for k, rows in zip(counts, groups, strict=True)
+        ]
+        order = torch.from_numpy(np.argsort(np.concatenate(groups)))
+        tensors = [p._tensors() for p in parts]
+        return Trials(**{k: torch.cat([t[k] for t in tensors])[order] for k in tensors[0]})
+
+    def _drawn(
+        self, benchmark: Benchmark, trial_id: NDArray[np.int64], seed: str, redraws: int
+    ) -> Trials:
+        """`draw` with the random counters of a seed; the object is as many turns on as there were redraws."""
+        n, people = len(trial_id), benchmark.people
+        turn = trial_id + 2 * redraws  # of the same split
+        object_index, side = assign_objects(turn, [o.split for o in benchmark.objects])
         hand_index, sides = np.zeros(n, np.int64), posed_hands(benchmark.hand_set).side
         T_world_hand = np.zeros((n, 4, 4), np.float32)
         receiver = np.zeros((n if self.bodies else 0, 5, 4), np.float32)
