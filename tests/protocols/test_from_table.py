@@ -326,6 +326,7 @@ def test_what_nobody_can_take_fails_received_and_is_not_simulated(gives, asked, 
     monkeypatch.setattr(giving, "reception", nobody)
     found = gives.score(T_obj_ee[rows], T_world_ee[rows], trials)
     assert [Outcome(k).name for k in found.outcome.tolist()] == ["RECEIVED"] * 5 + ["SUCCESS"]
+    assert found.success.tolist() == [False] * 5 + [True]
     words = [ReceiveReason(k).name for k in found.receives[:, 0].tolist()]
     assert words == ["ARM", "CLEAR", "HOLD", "WHOLE_WAY", "NO_GRASP", "OK"]
     received, taken = (found.criteria.index(name) for name in ("received", "taken"))
