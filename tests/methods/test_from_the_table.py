@@ -15,6 +15,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.pick import picked
 from r2h_batch.methods import contact, fc, handover_va, intent, learned, robust
+from r2h_batch.methods.believed import known_before
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.from_table import MOST_BACK_M, chosen_candidate, first_picked
 from r2h_batch.methods.placing import in_order, least
@@ -237,6 +238,13 @@ def test_a_search_with_errors_picks_the_object_where_it_lies_wherever_the_hand_i
     assert len({k[:8] for k in told._told}) == 4  # each trial was told, with each drawn hand
     assert all(torch.equal(T, rest()[list(some.trial_id.numpy()).index(np.frombuffer(k[:8], np.int64)[0])])
                for k, T in each(told._told.items()))  # fmt: skip
+
+
+def test_a_believed_world_asks_for_pick_alone():
+    draft = load_benchmark("r2h-v3-draft")
+    own, _ = known_before(draft)
+    assert "taken" in draft.asks and own.asks == ("pick",) and own.certified is None
+    assert known_before(load_benchmark("r2h-v2"))[0].asks == ()
 
 
 def test_cameras_see_the_object_where_pick_is_judged_whatever_their_seed():
