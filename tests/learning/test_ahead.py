@@ -128,6 +128,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.training import stream
 pairs = stream(load_benchmark(), {families!r}, renew=1, workers=2, pairs=4, trials=8)
 print(json.dumps({{"running": pairs.drawing}}), flush=True)
+sys.stdin.readline()
 {then}
 """
 ENDS = {
@@ -148,14 +149,15 @@ def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
     program = PROGRAM.format(families=MANY, then=ENDS[how])
     env = {**os.environ, "R2H_BATCH_CACHE": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
     child = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
-        start_new_session=True,
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=env, start_new_session=True,
     )  # fmt: skip
     try:
         told = json.loads(child.stdout.readline())
         pids = told["running"]
         assert len(pids) == 2 and all(map(alive, pids))
         (claims,) = tmp_path.glob("r2h_batch_*")
+        child.stdin.write("go on\n"), child.stdin.flush()
         if how == "a fork ends":
             assert json.loads(child.stdout.readline()) == pids
         elif how.startswith("ctrl-c"):
