@@ -102,12 +102,15 @@ def test_other_processes_draw_what_comes_later_while_this_one_has_the_first(cold
     assert not again.running  # nothing is left to draw
 
 
-def test_what_a_killed_process_had_begun_is_drawn_here(cold):
+def test_what_a_killed_process_had_begun_is_drawn_here(cold, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     planned = planned_objects(f"families:{FAMILIES}")
     ahead = Ahead(planned, load_robot(), "filtered", workers=1)
     for pid in each(ahead.running):
         os.kill(pid, signal.SIGKILL)
     assert until(lambda: not ahead.running, 10)
+    (claims,) = tmp_path.glob("r2h_batch_*")
+    (claims / planned[4].name).touch()  # it has claimed this one, and not drawn it
     found = ahead.objects(range(6))
     assert all(isinstance(o, ObjectModel) for o in found) and all(there(planned))
     ahead.close()
@@ -166,7 +169,7 @@ def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
         elif how == "a kill":
             child.kill()
         if how == "a fork ends":
-            assert all(map(alive, pids))
+            assert all(map(alive, pids)) and claims.is_dir()
             child.terminate()
         assert all_end(pids, 20)
         if how in ("the stream is used no longer", "a fork ends"):
