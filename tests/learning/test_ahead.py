@@ -102,12 +102,15 @@ def test_other_processes_draw_what_comes_later_while_this_one_has_the_first(cold
     assert not again.running  # nothing is left to draw
 
 
-def test_what_a_killed_process_had_begun_is_drawn_here(cold):
+def test_what_a_killed_process_had_begun_is_drawn_here(cold, tmp_path, monkeypatch):
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     planned = planned_objects(f"families:{FAMILIES}")
     ahead = Ahead(planned, load_robot(), "filtered", workers=1)
     for pid in each(ahead.running):
         os.kill(pid, signal.SIGKILL)
     assert until(lambda: not ahead.running, 10)
+    (claims,) = tmp_path.glob("r2h_batch_*")
+    (claims / planned[4].name).touch()  # it has claimed this one, and not drawn it
     found = ahead.objects(range(6))
     assert all(isinstance(o, ObjectModel) for o in found) and all(there(planned))
     ahead.close()
@@ -128,6 +131,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.training import stream
 pairs = stream(load_benchmark(), {families!r}, renew=1, workers=2, pairs=4, trials=8)
 print(json.dumps({{"running": pairs.drawing}}), flush=True)
+sys.stdin.readline()
 {then}
 """
 ENDS = {
@@ -148,14 +152,15 @@ def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
     program = PROGRAM.format(families=MANY, then=ENDS[how])
     env = {**os.environ, "R2H_BATCH_CACHE": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
     child = subprocess.Popen(
-        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=env,
-        start_new_session=True,
+        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        env=env, start_new_session=True,
     )  # fmt: skip
     try:
         told = json.loads(child.stdout.readline())
         pids = told["running"]
         assert len(pids) == 2 and all(map(alive, pids))
         (claims,) = tmp_path.glob("r2h_batch_*")
+        child.stdin.write("go on\n"), child.stdin.flush()
         if how == "a fork ends":
             assert json.loads(child.stdout.readline()) == pids
         elif how.startswith("ctrl-c"):
@@ -164,7 +169,7 @@ def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
         elif how == "a kill":
             child.kill()
         if how == "a fork ends":
-            assert all(map(alive, pids))
+            assert all(map(alive, pids)) and claims.is_dir()
             child.terminate()
         assert all_end(pids, 20)
         if how in ("the stream is used no longer", "a fork ends"):
