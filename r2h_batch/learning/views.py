@@ -56,7 +56,7 @@ Verdicts are those of the true object and hand. Frames are `T_a_b`, axes as in t
 """
 
 
-TOLD = """| `object/region`, `cloud/region` | as `object/label`, `cloud/mask` | in the receiver's region, as a part labeller sees it |
+TOLD = """| `object/region`, `cloud/region` | as `object/label`, `cloud/mask` | in the receiver's region, for a part labeller |
 """
 BELIEVED = """| `believed/...` | M of the N (`row`) | {believed} more pairs, with grasps on the solid that is seen |
 """
