@@ -166,7 +166,9 @@ def _best(scores: Scores, found: Scores, names: Sequence[str]) -> str | None:
     k = int(torch.argmax(better * 100 + passed[1:].sum((1, 2))))
     if int(better[k]) < MOST:
         return None
-    words = " and ".join(name for name, of in zip(scores.criteria, alike.tolist(), strict=True) if of)
+    words = " and ".join(
+        name for name, of in zip(scores.criteria, alike.tolist(), strict=True) if of
+    )
     name, _, meaning = names[k].partition(": ")
     how = f": {meaning}" if meaning else ""
     return (
