@@ -198,7 +198,8 @@ def tex_table(
         groups: rows as LaTeX; a rule separates the groups.
         top: rows above the headings.
     """
-    spec = "@{}" + "".join(columns) + "@{}"
+    # columns stand 3 pt nearer than LaTeX puts them: eleven fit the width of two columns of a paper
+    spec = r"@{\extracolsep{-3pt}}" + "".join(columns) + "@{}"
     lines = [rf"\begin{{tabular}}{{{spec}}}", r"\toprule", *top, " & ".join(head) + r" \\"]
     for rows in groups:
         lines += [r"\midrule", *rows]
