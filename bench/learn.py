@@ -674,6 +674,8 @@ No method that sees is told the region, so in S1 Affordance stops all of them.
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
+NOT_LESS = """People do not take what {first} hands over less often than what {second} does. More often is not decided: it is
+{net} trials more, and more transfers than that are undecided."""
 RECEIVED = """## Can the person take it?
 
 Percent of the first {of} shipped rows of each split (motion simulated) whose object the receiver could take
@@ -775,6 +777,9 @@ def received_words(own: Mapping[str, Any]) -> str:
     taken = own["paired"]["S0+S1"]["taken"]
     than = "more often than" if taken["low"] > 0 else "less often than" if taken["high"] < 0 else "about as often as"
     answer = f"People take what {first} hands over {than} what {second} does."
+    net = abs(taken["only first"] - taken["only second"])
+    if taken["low"] > 0 and sum(own["undecided"].values()) > net:
+        answer = NOT_LESS.format(first=first, second=second, net=net)
     return RECEIVED.format(
         answer=answer,
         of=own["of"],

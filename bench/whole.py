@@ -190,8 +190,8 @@ def measured(_: argparse.Namespace) -> Mapping[str, Any]:
             some = [columns[i] for i in list(columns)[:TIMED]]
             clocks += timed(judge, [r["trial_id"] for r in some], *poses_of(some))
             print(name, methods[name], flush=True)
-        words = ("--benchmark", "r2h-v3-draft", "--sees", SEES, "--method", *SEEING, "--trials", SEEN_TRIALS)
-        run = load_run(swept(Path(folder) / "seen", *words, "--sim", "none", "--threads", 1))
+        looking = ("--benchmark", "r2h-v3-draft", "--sees", SEES, "--method", *SEEING, "--trials", SEEN_TRIALS)
+        run = load_run(swept(Path(folder) / "seen", *looking, "--sim", "none", "--threads", 1))
         seen = {name: dict(Counter(r["outcome"] for r in run.trials(name).to_pylist())) for name in run.methods}
         print(seen, flush=True)
     ms = dict(zip(PARTS, (1e3 * clocks / (TIMED * len(methods))).tolist(), strict=True))

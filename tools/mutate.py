@@ -1144,8 +1144,8 @@ MUTATIONS = (
     Mutation(
         'stream: a category cannot be left out',
         'r2h_batch/learning/instances.py',
-        'return fnmatchcase(model.name, pattern) or fnmatchcase(category_of(model) or "", pattern)',
-        'return fnmatchcase(model.name, pattern)',
+        'return fnmatchcase(one.name, pattern) or fnmatchcase(category(one) or "", pattern)',
+        'return fnmatchcase(one.name, pattern)',
         ('tests/learning/test_stream.py::test_a_split_goes_by_category_name_or_pattern',),
     ),
     Mutation(
@@ -1365,8 +1365,8 @@ MUTATIONS = (
     Mutation(
         "instances: other people's families are kept though their code may change",
         'r2h_batch/scene/families/kept.py',
-        'if not family.make.__module__.startswith(f"{__package__}."):',
-        'if False:',
+        'return family.make.__module__.startswith(f"{__package__}.")',
+        'return True',
         ('tests/scene/test_families.py::test_an_instance_of_a_family_of_other_code_is_drawn_each_time',),
     ),
     Mutation(

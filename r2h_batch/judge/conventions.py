@@ -12,13 +12,15 @@ from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.types import Outcome, Scores, Trials
-from r2h_batch.verdicts import CRITERIA
 
 ROWS = 8
 """Rows that are judged again: fewer say nothing."""
 
 MOST = 6
 """Least number of these rows that must be better in another convention."""
+
+SAME_M = 1e-4
+"""Numbers of two poses that differ by less are the same."""
 
 SLOW_S = 300.0
 """A median motion of this length is looked at: none of the built-in methods' takes a minute. [choice]"""
@@ -93,6 +95,12 @@ def pose_hint(
     if rows is None:
         return None
     given = (T_obj_ee[rows], T_world_ee[rows])
+    hands = trials.T_world_hand[rows].to(given[1])
+    if bool(((given[1] - hands).abs().amax((1, 2)) < SAME_M).all()):
+        return (
+            f"T_world_ee is the hand's pose (trials.T_world_hand) in {ROWS} of {ROWS} rows: it is where the gripper's"
+            " TCP goes, as a rule 12 to 15 cm in front of the palm"
+        )
     others = other_poses(*given)
     grasps, handovers = zip(given, *others.values(), strict=True)
     times = torch.arange(ROWS, dtype=torch.int64, device=rows.device).repeat(1 + len(others))
@@ -158,7 +166,9 @@ def _best(scores: Scores, found: Scores, names: Sequence[str]) -> str | None:
     k = int(torch.argmax(better * 100 + passed[1:].sum((1, 2))))
     if int(better[k]) < MOST:
         return None
-    words = " and ".join(name for name, of in zip(CRITERIA, alike.tolist(), strict=True) if of)
+    words = " and ".join(
+        name for name, of in zip(scores.criteria, alike.tolist(), strict=True) if of
+    )
     name, _, meaning = names[k].partition(": ")
     how = f": {meaning}" if meaning else ""
     return (

@@ -46,7 +46,7 @@ and handover pose.
 | `object/K`, `hand/K` | (N, C, 3, 3) | intrinsics of the windows, pixels |
 | `T_world_camera` | (N, C, 4, 4) | believed poses of the cameras, m |
 | `cloud/points`, `cloud/mask` | (N, {cloud}, 3), (N, {cloud}) | the object's points in the world, m |
-| `receiver/palm`, `normal`, `along`, `left` | (N, 3), (N,) | the estimated hand |
+{told}| `receiver/palm`, `normal`, `along`, `left` | (N, 3), (N,) | the estimated hand |
 | `pairs/T_world_grasp`, `pairs/T_world_ee` | (N, K, 4, 4) | grasp at the moment, handover pose, m |
 | `pairs/success`, `labels`, `margin` | (N, K), (N, K, 5) | verdicts of the pose stage ({criteria}; NaN: not evaluated) |
 | `oracle/...` | as `pairs` with K = 1 | the best of {rounds} proposals that know the truth |
@@ -56,6 +56,8 @@ Verdicts are those of the true object and hand. Frames are `T_a_b`, axes as in t
 """
 
 
+TOLD = """| `object/region`, `cloud/region` | as `object/label`, `cloud/mask` | in the receiver's region, for a part labeller |
+"""
 BELIEVED = """| `believed/...` | M of the N (`row`) | {believed} more pairs, with grasps on the solid that is seen |
 """
 
@@ -117,6 +119,7 @@ def _card(pairs: Pairs, sees: Sees, believed: int) -> str:
         benchmark=f"{pairs.benchmark.name}, digest {pairs.benchmark.digest}", objects=len(names),
         families=f"{few} and others" if len(names) > 3 else few, sees=json.dumps(sees.identity, sort_keys=True),
         step=DEPTH_STEP_M, labels=", ".join(LABELS), cloud=CLOUD, criteria=", ".join(CRITERIA), rounds=ORACLE_ROUNDS,
+        told=TOLD if sees.region == "told" else "",
         believed=BELIEVED.format(believed=believed) if believed else "",
     )  # fmt: skip
 
@@ -136,6 +139,9 @@ def _arrays(
     points, mask = seen.cloud(CLOUD)
     yield "cloud/points", points.numpy()
     yield "cloud/mask", mask.numpy()
+    if seen.region is not None:
+        yield "object/region", seen.region.numpy()
+        yield "cloud/region", seen.cloud_region(CLOUD).numpy()
 
     def grasps(T_obj_ee: Tensor) -> NDArray[Any]:
         found: Tensor = se3.matmul(T[:, None].expand_as(T_obj_ee), T_obj_ee.double()).float()

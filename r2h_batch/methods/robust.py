@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from r2h_batch.base import rng
+from r2h_batch.base import rng, se3
 from r2h_batch.base.validate import integer
 from r2h_batch.config import ObjectErrors
 from r2h_batch.evaluate import Evaluator
@@ -123,8 +123,8 @@ def holding(
         seed: of the errors.
     """
     held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
-    on_table = "pick" in evaluator.benchmark.asks
     known = known_moments(evaluator.scene)
+    resting = known.of(trials) if "pick" in evaluator.benchmark.asks else None
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
@@ -135,7 +135,10 @@ def holding(
             evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
         )  # fmt: skip
         moved = replace(trials, T_world_hand=hand)
-        if on_table:  # the object rests where it is, wherever the hand is
-            known.tell(moved, known.of(trials))
+        if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
+            T_obj_moved = se3.matmul(T_obj_ee.double(), se3.inverse(grasp.double()))
+            known.tell(moved, se3.matmul(resting.double(), T_obj_moved).float())
         held += evaluator.score(grasp, T_world_ee, moved).success
+    if resting is not None:  # a draw may leave the hand where it was
+        known.tell(trials, resting)
     return held

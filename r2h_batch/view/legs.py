@@ -1,4 +1,4 @@
-"""What comes before a stored motion where a trial begins on the table: the legs of picking, and the leg in which a pick fails.
+"""Legs of picking before a stored motion where a trial begins on the table, and the leg in which a pick fails.
 
 A run folder stores no posture of picking. They are computed again, as Pick was judged.
 """

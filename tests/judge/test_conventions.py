@@ -128,3 +128,23 @@ def test_motions_in_degrees_or_milliseconds_are_told(solved, fresh, of_q, of_tim
         fresh().score_motion(poses[0], scores.path * of_q, scores.path_time_s * of_time, trials, length=scores.path_len)
     lines = [str(w.message) for w in said if "rows" in str(w.message)]
     assert len(lines) == (words is not None) and all(words in line for line in lines), lines
+
+
+def test_the_hands_pose_in_place_of_the_ees_is_named(fresh, solved):
+    trials, (T_obj_ee, T_world_ee), _ = solved
+    with pytest.warns(UserWarning, match=r"T_world_ee is the hand's pose \(trials.T_world_hand\) in 8 of 8 rows"):
+        fresh().score(T_obj_ee, trials.T_world_hand, trials)
+    some = trials.T_world_hand.clone()
+    some[0] = T_world_ee[0]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fresh().score(T_obj_ee, some, trials)
+    assert not any("hand's pose" in str(w.message) for w in told)
+
+
+def test_a_benchmark_with_more_criteria_has_hints_too():
+    evaluator = Evaluator(load_benchmark("r2h-v3-draft").until("present"), EvalConfig(execute=ExecConfig(sim="none")))
+    trials = evaluator.benchmark.trials(6)
+    answer = oracle.predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
+    with pytest.warns(UserWarning, match=r"all 12 rows fail .*; [678] of 8 pass more with T_world_ee inverted"):
+        evaluator.score(answer.T_obj_ee, inverted(answer.T_world_ee), trials)

@@ -54,6 +54,24 @@ def test_a_shard_holds_what_the_cameras_saw_and_the_labels_of_the_stream(shards)
         assert np.abs(grasp[i] - expected).max() < 1e-6
 
 
+def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, tmp_path):
+    held = "hammer x 1 seed 91"
+    line = ["observe", "export", "--out", str(tmp_path), "--trials", "6", "--pairs", "4", "--families", held]
+    assert main([*line, "--sees", "cell-v1,region=told"]) == 0
+    with h5py.File(tmp_path / "shard-000000.h5") as file, h5py.File(shards[0] / "shard-000000.h5") as other:
+        told = {k: file[k][()] for k in ("object/region", "cloud/region")}
+        assert "object/region" not in other and "cloud/region" not in other
+        ids, label = file["truth/trial_id"][()], file["object/label"][()]
+    pairs = stream(load_benchmark("r2h-v2"), held, pairs=4, trials=6)
+    trials = pairs.benchmark.trials_with_ids(torch.from_numpy(ids))
+    seen, _ = Sees.parse("cell-v1,region=told").look(pairs.evaluator.scene, trials)
+    assert np.array_equal(told["object/region"], seen.region.numpy()) and told["object/region"].shape == label.shape
+    assert 0 < told["cloud/region"].mean() < 1
+    assert np.array_equal(told["cloud/region"], seen.cloud_region(2048).numpy())
+    assert "`cloud/region`" in (tmp_path / "README.md").read_text()
+    assert "region`" not in (shards[0] / "README.md").read_text()
+
+
 def test_shards_that_are_there_stay_and_others_are_made_alike(shards, tmp_path, capsys):
     out, line = shards
     before = (out / "shard-000000.h5").stat().st_mtime_ns

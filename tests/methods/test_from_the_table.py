@@ -235,9 +235,30 @@ def test_a_search_with_errors_picks_the_object_where_it_lies_wherever_the_hand_i
     solved = evaluator.score(found.T_obj_ee, found.T_world_ee, some).success
     assert solved.any() and (held[solved] > 0).all()
     told = known_moments(evaluator.scene)
+    told._told.clear()
+    held = holding(evaluator, some, found.T_obj_ee, found.T_world_ee, sizes, 3, 0)
     assert len({k[:8] for k in told._told}) == 4  # each trial was told, with each drawn hand
-    assert all(torch.equal(T, rest()[list(some.trial_id.numpy()).index(np.frombuffer(k[:8], np.int64)[0])])
-               for k, T in each(told._told.items()))  # fmt: skip
+    ids = list(some.trial_id.numpy())
+    for key, T in each(told._told.items()):
+        assert torch.allclose(T, rest()[ids.index(np.frombuffer(key[:8], np.int64)[0])], atol=1e-6)
+
+
+def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper(monkeypatch):
+    evaluator, some = judge(), trials()[:2]
+    found = robust.predict(some, evaluator.scene, evaluator=evaluator, draws=0, rounds=2)
+    asked = []
+    real = type(evaluator).score
+    monkeypatch.setattr(type(evaluator), "score", lambda self, *a, **k: asked.append(a) or real(self, *a, **k))
+    sizes = Sizes(ObjectErrors(0.005, 4.0), PredictorNoise())
+    holding(evaluator, some, found.T_obj_ee, found.T_world_ee, sizes, 2, 0)
+    known = known_moments(evaluator.scene)
+    for grasp, _, moved, *_ in each(asked):
+        T = known.of(moved)
+        assert (T - rest()[:2]).abs().amax() > 1e-3
+        there, told = (se3.matmul(x.double(), y.double()) for x, y in ((T, grasp), (rest()[:2], found.T_obj_ee)))
+        assert torch.allclose(there, told, atol=1e-6)
+    holding(evaluator, some, found.T_obj_ee, found.T_world_ee, Sizes(ObjectErrors(0.005, 4.0), EXACT), 2, 0)
+    assert torch.equal(known.of(some), rest()[:2])  # an exact hand: the draws were of these very trials
 
 
 def test_a_believed_world_asks_for_pick_alone():

@@ -102,7 +102,7 @@ def test_people_read_twelve_digits_of_a_digest_and_programs_all(paper):
 
 
 @pytest.mark.parametrize("fmt", report.FORMATS)
-@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (2, 2, 8)])
+@pytest.mark.parametrize(("n_s0", "n_s1", "code"), [(0, 3, 0), (2, 2, int(Outcome.INVALID_SIM))])
 def test_edges_print_na_and_never_nan(tmp_path, fmt, n_s0, n_s1, code):
     run = write_run(tmp_path / "run", {"m": np.full(n_s0 + n_s1, code)}, n_s0, n_s1)
     text = report.render(report.table_of(run), fmt)

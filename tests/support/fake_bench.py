@@ -27,7 +27,7 @@ class FakeEvaluator:
     def __init__(self):
         self.config, self.threads = SimpleNamespace(chunk=2048), None
         self.sizes = []
-        self.benchmark = SimpleNamespace(name="r2h-v1", label="r2h-v1@0", asks=())
+        self.benchmark = SimpleNamespace(name="r2h-v1", label="r2h-v1@0", asks=(), certified=None)
         objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
         sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
         hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
