@@ -103,7 +103,7 @@ REGION = """## The receiver's region
 
 With `region=told` methods are told which seen points belong to the part that the receiver wants
 ([definition](../observe.md#methods-that-see)). Trials of S1 that only one of two sights solves, with two posts; the
-difference of SR in points and its 95 % interval (Tango 1998, of trials with the same objects).
+difference of SR in points and the 95 % interval (Tango 1998, of trials with the same objects).
 
 {table}
 
@@ -212,7 +212,7 @@ def _told_table(hidden: Mapping[str, Any], told: Mapping[str, Any]) -> str:
         low, high = (100 * x for x in paired_score_interval(more, less, len(before)))
         ends = f"{low:+.0f} to {high:+.0f}"
         lines.append([name, str(less), str(more), f"{100 * (more - less) / len(before):+.0f}", ends])
-    return markdown_table(["", "hidden alone", "told alone", "told - hidden", "95 %"], lines)
+    return markdown_table(["", "hidden alone", "told alone", "told - hidden", "interval"], lines)
 
 
 def main() -> None:
