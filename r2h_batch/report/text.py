@@ -203,7 +203,7 @@ def tex_table(
         top: rows above the headings.
     """
     # columns stand nearer than LaTeX's 12 pt: eleven fit the width of two columns of a paper, more of them nearly
-    nearer = 3 if len(columns) <= FIT else 6
+    nearer = 3 if len(columns) <= FIT else 7
     spec = rf"@{{\extracolsep{{-{nearer}pt}}}}" + "".join(columns) + "@{}"
     lines = [rf"\begin{{tabular}}{{{spec}}}", r"\toprule", *top, " & ".join(head) + r" \\"]
     for rows in groups:
