@@ -32,7 +32,6 @@ from r2h_batch.methods.predictors import Observations, PredictorNoise
 from r2h_batch.methods.predictors.external_predictions import ExternalHands
 from r2h_batch.methods.predictors.principal_axes import load_axes_network
 from r2h_batch.methods.robust import Sizes
-from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.seeing import Level
 from r2h_batch.observe.seen import Observation, Receiver, packed
 from r2h_batch.observe.solid import completed, region_of_faces, views_of
@@ -138,7 +137,6 @@ class AskedHere:
             seen, *self._known, self._config, self._noise, holds=self._holds, seed=self._seed
         )
         if world is not None:
-            known_moments(world.scene).tell(world.trials, world.T_world_obj.float())
             answer = self._function(world.trials, world.scene, **self._arguments(world))
             T_world_grasp = se3.matmul(world.T_world_obj, answer.T_obj_ee.double())
             grasp[world.row], handover[world.row] = T_world_grasp, answer.T_world_ee.double()

@@ -9,6 +9,7 @@ one's own errors brings; it is no upper bound of success.
 from dataclasses import dataclass, replace
 
 import torch
+from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
@@ -51,6 +52,7 @@ def predict(
     seed: int = 0,
     evaluator: Evaluator | None = None,
     sizes: Sizes | None = None,
+    T_world_obj: Float32[Tensor, "n 4 4"] | None = None,
     draws: int = DRAWS,
     rounds: int = ROUNDS,
 ) -> Predictions:
@@ -62,6 +64,7 @@ def predict(
         seed: of proposals and errors.
         evaluator: the judge; None: one of the scene.
         sizes: of the errors; None: the evaluator's `object_errors`, and an exact hand.
+        T_world_obj: (B, 4, 4) where the objects rest when a trial begins on the table, m, as it believes; None: where they do.
         draws: errors under which a proposal is judged; 0: it must succeed as believed, as the oracle's.
         rounds: proposals of a trial at most.
     """
@@ -74,6 +77,8 @@ def predict(
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
+    if T_world_obj is not None:
+        known_moments(evaluator.scene).tell(trials, T_world_obj.to(scene.device))
     fan = Fan(trials, evaluator, seed)
     best = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
     T_obj_ee, T_world_ee = (

@@ -243,6 +243,17 @@ def test_a_search_with_errors_picks_the_object_where_it_lies_wherever_the_hand_i
         assert torch.allclose(T, rest()[ids.index(np.frombuffer(key[:8], np.int64)[0])], atol=1e-6)
 
 
+def test_a_search_picks_the_object_where_it_is_told_to_lie_also_with_an_evaluator_of_its_own():
+    there = rest()[:6].clone()
+    there[:, :3, 3] += torch.tensor([0.03, 0.0, 0.0])
+    own = Evaluator(judge().benchmark.until("present"), judge().config)
+    some = own.benchmark.trials_with_ids(trials().trial_id[:6])
+    told = robust.predict(some, own.scene, evaluator=own, T_world_obj=there, draws=0, rounds=16)
+    grasps = picked(own.scene, told.T_obj_ee, there, some).picked
+    assert grasps.sum() >= 5
+    assert torch.equal(known_moments(own.kinematic.scene).of(some), there)
+
+
 def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper(monkeypatch):
     evaluator, some = judge(), trials()[:2]
     found = robust.predict(some, evaluator.scene, evaluator=evaluator, draws=0, rounds=2)
