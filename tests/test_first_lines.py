@@ -1,10 +1,12 @@
-"""bench/first_lines.py measures what its page says."""
+"""docs/results/first_lines.md is the page of its JSON, and its bench measures what it says (bench/first_lines.py)."""
 
+import json
 import os
 import sys
 from pathlib import Path
 
 import pytest
+from rounds import each
 
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
@@ -19,6 +21,17 @@ def bench():
         yield first_lines
     finally:
         sys.path.remove(str(ROOT / "bench"))
+
+
+def test_the_page_is_that_of_its_json(bench):
+    data = json.loads(bench.STORED.read_text("utf-8"))
+    assert bench.PAGE.read_text("utf-8") == bench.page(data)
+    assert list(data["rows"]) == [*bench.COMMANDS, *bench.CALLS], "measure again"
+    for name, row in each(data["rows"].items()):
+        for turn in bench.ROUNDS:
+            own = row[turn]
+            assert 0.0 <= own["first_s"] <= own["whole_s"] and own["silent_s"] <= own["whole_s"] + 0.01, name
+            assert own["end"] in ("0", "limit"), name
 
 
 def test_what_is_late_and_what_ended_early_are_told_apart(bench):
