@@ -54,15 +54,11 @@ ORACLE = {"robust search": "oracle"}
 """Told the truth, a search has no error to reckon with."""
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 
-FORMER = "811f6d4563236a2e87c07986a9b392e267fe3994"
-"""Figures of this commit are of the ranker that shipped before."""
-FORMER_WORDS = " `Learned` has the weights that shipped before; it is not measured again yet."
-
 HEAD = """# Methods that see
 
 `python bench/sees.py` swept the built-in methods and `examples/grasp_seen.py` on r2h-v2, motion as planned, {trials} trials a
 split, by what they were [shown](../observe.md#methods-that-see) (bench/results/sees.json; commit {commit}, load {load:g} at the
-start). All rows are of the same trials.{former}
+start). All rows are of the same trials.
 
 ## Success
 
@@ -73,10 +69,9 @@ SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at
 `robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees, `plain search` for a pair that
 succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
 
-No method that sees knows the receiver's region (S1), the searches included{unless}: images show no parts, and the benchmark tells
-nothing else. So in S1 Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known
-either. Nor do the methods know the person's arm and torso: the world that they believe in has the hand alone, and planning and
-Safe judge all of the person.
+Where it is not told, no method that sees knows the receiver's region (S1), the searches included: images show no parts. So in S1
+Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known either. Nor do the methods
+know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge all of the person.
 
 {told}## Causes
 
@@ -188,11 +183,9 @@ def markdown(data: Mapping[str, Any]) -> str:
     return HEAD.format(
         trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
         half=50 * max(high - low for low, high in widths),
-        former=FORMER_WORDS if data["commit"] == FORMER else "",
         table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
         categories=categories,
         told=told,
-        unless=f", except in the column `{TOLD}`" if TOLD in shown else "",
         causes=" / ".join(CAUSES),
         failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
         picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
