@@ -668,7 +668,7 @@ Affordance / Safe.
 
 {table}
 
-No method that sees is told the region, so in S1 Affordance stops all of them.
+Nobody was told the region here (`region=told` tells it), so in S1 Affordance stops all of them.
 
 """
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
