@@ -103,8 +103,7 @@ again, {twice} of them more than once; {never} have no answer. Redraws by catego
 
 ## What is missing
 
-- More than {seen_trials} trials a split of the seeing track. The robust search is no bound there yet: it should be above all
-  rules.
+- More than {seen_trials} trials a split of the seeing track: intervals overlap, also that of the robust search and the others'.
 - Criteria that fail for nobody in these tables: {idle}.
 - `HandoverEnv` does not begin at the table. Pick's margin has no gradient.
 - Trials beyond the first {certified} are drawn once.
