@@ -199,7 +199,8 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
             line = [sys.executable, "-m", "r2h_batch", *_words(name, str(new), str(out / ROUNDS[0]))]
             if name in CALLS:
                 line = [sys.executable, __file__, "--call", name]
-            rows[name][turn] = watched(line, env, out / f"{name}, {turn}.log")
+            row = watched(line, env, out / f"{name}, {turn}.log")
+            rows[name][turn] = row | {"said": str(row["said"]).replace(str(out), "OUT")}  # no folder of this machine
             print(name, turn, rows[name][turn], flush=True)
     return {"rows": rows, **made_by(MEASURES)}
 

@@ -11,7 +11,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 | plan | `plan` | a path without collision to one of the branches, from home or from where the object is lifted |
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
-| verdict | `metrics`, `scores` | five criteria (or six) with margins, one outcome |
+| verdict | `metrics`, `scores` | five criteria with margins, and Pick where the benchmark asks for it; one outcome |
 | giving | `reception`, `closed_loop/transfer/given` | whether the person can take it, and has it, where the benchmark asks |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
