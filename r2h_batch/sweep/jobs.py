@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods.predictors import Observations
     from r2h_batch.scene.objects import ObjectModel
+    from r2h_batch.sweep.seeing import Looks
     from r2h_batch.trials.noise import Errors
 
 DIGEST_TRIALS = 10_000
@@ -257,7 +258,13 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
     seen = _seen(methods.seen, setting)
     if any(base_of(name) in METHOD_NAMES for name in methods.names):
         check_grasps(setting.evaluator.scene, methods.allow_empty_candidates)
-    jobs = [_method_job(name, setting.evaluator, methods, seen) for name in methods.names]
+    looks = None
+    if methods.sees is not None:
+        from r2h_batch.sweep.seeing import KEPT_TRIALS, Looks
+
+        kept = KEPT_TRIALS if len(methods.names) > 1 else 0
+        looks = Looks(methods.sees, setting.evaluator, kept)
+    jobs = [_method_job(name, setting.evaluator, methods, seen, looks) for name in methods.names]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
         predictions, motions = answers.predictions, answers.motions
@@ -389,7 +396,11 @@ def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
 
 
 def _method_job(
-    name: str, evaluator: "Evaluator", methods: Methods, seen: "Observations | None" = None
+    name: str,
+    evaluator: "Evaluator",
+    methods: Methods,
+    seen: "Observations | None" = None,
+    looks: "Looks | None" = None,
 ) -> Job:
     method, method_options = _method(name, seeing=methods.sees is not None), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
@@ -415,18 +426,16 @@ def _method_job(
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
-    if methods.sees is not None:
+    if looks is not None:
         from r2h_batch.sweep.seeing import SeeingMethod
 
         if built_in:
             more = f"; {method_options}" if method_options else ""
             title = f"{getattr(module, 'TITLE', base_of(name))} (seen{more})"
-            asked = SeeingMethod.built_in(
-                title, method.found.function, sees, extra, methods.sees, evaluator
-            )
+            asked = SeeingMethod.built_in(title, method.found.function, sees, extra, looks)
             lines: tuple[str, ...] = ()
         else:
-            asked = SeeingMethod.apart(title, base_of(name), extra, methods.sees, evaluator)
+            asked = SeeingMethod.apart(title, base_of(name), extra, looks)
             lines = _not_compared(title, method.found.module, files)
         return Job(
             title, source, lambda trials, _: asked.predict(trials), lines=lines, looked=asked.looked
