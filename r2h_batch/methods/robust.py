@@ -129,11 +129,9 @@ def holding(
     """
     known = known_moments(evaluator.scene)
     resting = known.of(trials) if "pick" in evaluator.benchmark.asks else None
-    grasps, hands, held = (
-        [],
-        [],
-        torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device),
-    )
+    held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+    grasps: list[Tensor] = []
+    hands: list[Tensor] = []
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
@@ -153,7 +151,8 @@ def holding(
     if resting is not None:  # a draw may leave the hand where it was
         known.tell(trials, resting)
     elif draws:  # all at once: a call for few rows costs as much as for many
-        rows = torch.arange(len(trials), device=T_obj_ee.device).repeat(draws)
+        every = torch.arange(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+        rows = every.repeat(draws)
         moved = replace(trials[rows], T_world_hand=torch.cat(hands))
         scores = evaluator.score(torch.cat(grasps), T_world_ee[rows], moved)
         held += scores.success.reshape(draws, -1).sum(0)

@@ -48,7 +48,7 @@ class Asked(Protocol):
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen of some trials.
+    """Images of some trials, and where their objects lie in truth.
 
     Attributes:
         seen: of N trials.
@@ -62,7 +62,7 @@ class Look:
 
 
 class Looks:
-    """What cameras see of the trials of a sweep, once for all of its methods.
+    """Images of the trials of a sweep, made once for all of its methods.
 
     Args:
         sees: what is shown.
@@ -76,7 +76,7 @@ class Looks:
         self._kept: dict[bytes, Look] = {}
 
     def of(self, trials: Trials) -> Look:
-        """What is seen of N trials, as long as the first look took.
+        """The images of N trials; `t_sees_s` is that of the first look.
 
         Args:
             trials: N trials of the evaluator's benchmark: an id names one.
