@@ -29,7 +29,7 @@ def story_of(reader: Reader, drawing: Drawing, fps: int) -> Story:
 
 
 def _seen(reader: Reader, drawing: Drawing, fps: int) -> Clip | None:
-    """What the method saw, where it did not know the truth."""
+    """The method's view, where it did not know the truth."""
     sees = Sees.of_run(reader.run.header)
     if sees is None:
         return None
