@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.errors import FileError
@@ -42,10 +43,10 @@ from r2h_batch.data.robot_home import (
     turn_of,
     turned,
 )
-from r2h_batch.data.robot_links import Meshes, check_meshes, files_of, link_of
+from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
 from r2h_batch.data.robot_model import Geom, read_model
 from r2h_batch.data.robot_pads import Window, find_pads
-from r2h_batch.data.robot_pairs import checked_pairs, touching
+from r2h_batch.data.robot_pairs import Touching, checked_pairs, contact_rates, touching
 from r2h_batch.data.robot_shapes import (
     BOX,
     CAPSULE,
@@ -98,6 +99,8 @@ BALL_M = 1e-3
 """Radius of a last link of which the file shows nothing: the gripper hides it."""
 BONE_M = 1e-3
 """Radius of the rods that stand for the links before their meshes are read."""
+FLAT_M = 1e-6
+"""Extent of a link's corners below which they have no hull."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
 SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
@@ -235,6 +238,7 @@ def import_robot(
     first_q = start or first_home(bare, shown)  # before the minutes that fitting takes
     if not start:
         free_home(_bones(bare), table, shown, [link.triangles for link in links])
+        _check_wrist(bare, links, mouths, table, shown)
     hulls: list[Shape | Hull] = []
     where: list[int] = []
     rows: dict[str, Any] = {}
@@ -307,6 +311,15 @@ def _with_links(bare: Robot, names: tuple[str, ...]) -> Robot:
 def _bones(robot: Robot) -> Robot:
     """The arm as thin rods from joint to joint, of which the table alone is asked for: what its links cannot keep clear
     of, no body can."""
+    found = _rods(robot)
+    where = range(len(found))
+    arm = _primitives_of(found, [*where], [f"rod_{k}" for k in where])
+    none = frozen(np.zeros((0, 2)), np.int32)
+    return replace(robot, arm=arm, self_pairs=none, digest=f"{robot.digest}, rods")
+
+
+def _rods(robot: Robot) -> list[Shape | Hull]:
+    """A rod of each link, from its joint to the next or to the flange."""
     found: list[Shape | Hull] = []
     for T in (*robot.T_parent_joint, robot.T_wrist3_flange):
         way = T[:3, 3]
@@ -315,10 +328,49 @@ def _bones(robot: Robot) -> Robot:
         x = np.linalg.svd(z[None])[2][1]
         R = np.stack([x, np.cross(z, x), z], 1)
         found.append(Shape(CAPSULE, way / 2, R, np.array([BONE_M, max(length / 2, 1e-4)])))
-    where = range(len(found))
-    arm = _primitives_of(found, [*where], [f"rod_{k}" for k in where])
-    none = frozen(np.zeros((0, 2)), np.int32)
-    return replace(robot, arm=arm, self_pairs=none, digest=f"{robot.digest}, rods")
+    return found
+
+
+def _check_wrist(
+    bare: Robot, links: Sequence[Link], mouths: Sequence[list[Array]], table: Workplace, shown: str
+) -> None:
+    """Refuse an arm of which one link meets the gripper in each posture to start from. Only links whose convex hulls do so
+    are fitted for it, so this is said before the minutes that fitting all takes.
+
+    Raises:
+        FileError: it names the pair, as `free_home` does.
+    """
+    n, gripper = len(links) - 1, len(bare.links) - 1
+    rods = _rods(bare)
+
+    def alone(found: Mapping[int, Sequence[Shape | Hull]]) -> Robot:
+        """The robot with bodies of some links, of which the gripper alone is asked for, and rods in place of the others."""
+        every = [found.get(k, [rod]) for k, rod in enumerate(rods)]
+        where = [k for k, bodies in enumerate(every) for _ in bodies]
+        names = [f"{bare.links[k]}_{i}" for i, k in enumerate(where)]
+        arm = _primitives_of([body for bodies in every for body in bodies], where, names)
+        pairs = frozen([(k, gripper) for k in found], np.int32)
+        return replace(
+            bare, arm=arm, self_pairs=pairs, digest=f"{bare.digest}, wrist of {[*found]}"
+        )
+
+    corners = [link.triangles.reshape(-1, 3) for link in links[:n]]
+    solid = {
+        k: [Hull(x[ConvexHull(x).vertices])]
+        for k, x in enumerate(corners)
+        if np.ptp(x, 0).min() > FLAT_M
+    }
+    look, near = Touching(alone(solid)), [*solid]
+    for home in homes(bare):
+        met = {pair.split(" and ")[0] for pair in look(np.array(home))}
+        near = [k for k in near if bare.links[k] in met]
+        if not near:
+            return
+    robot = alone({k: bodies_of(links[k], mouths[k], MAX_BODIES - n)[0] for k in near})
+    rates = contact_rates(robot, POSTURES)
+    apart = [(k, gripper) for k in near if rates[bare.links[k], bare.links[gripper]][0] < 1]
+    if apart:  # a pair that always touches is not checked
+        free_home(replace(robot, self_pairs=frozen(apart, np.int32)), table, shown)
 
 
 def _word(name: str) -> str:

@@ -26,6 +26,12 @@ class PosedHand:
     def __len__(self) -> int:
         return len(self.owners[0])
 
+    @property
+    def points(self) -> Float32[Tensor, "b p 3"]:
+        """Of the convex pieces, each row in a frame of its own, m."""
+        points: Tensor = self.owners[0]
+        return points
+
 
 def posed_hand(
     model: HandModel,
@@ -39,8 +45,20 @@ def posed_hand(
         vertices: (b, V, 3) in metres, each row in a frame of its own.
         device: of the result.
     """
+    return hand_of_points(model, hand_points(model, vertices, device))
+
+
+def hand_points(
+    model: HandModel, vertices: Float32[Tensor, "b v 3"], device: str
+) -> Float32[Tensor, "b p 3"]:
+    """The points of each hand's convex pieces, piece by piece, m; arguments as of `posed_hand`."""
     ids = model.piece_vertices.to(vertices.device).long()
-    points = vertices[:, ids].float().to(device).contiguous()
+    return vertices[:, ids].float().to(device).contiguous()
+
+
+def hand_of_points(model: HandModel, points: Float32[Tensor, "b p 3"]) -> PosedHand:
+    """The hands whose `hand_points` these are."""
+    device, ids = str(points.device), model.piece_vertices
     ball = torch.empty((len(points), len(model.piece_names), 4), dtype=torch.float32, device=device)
     start = model.piece_offsets.to(torch.int32).to(device).contiguous()
     struct = kernels.PosedHands()

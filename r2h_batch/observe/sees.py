@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, get_args
 
@@ -11,7 +12,7 @@ from torch import Tensor
 from r2h_batch.base.errors import UsageError, nearest
 from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.moment import moments
-from r2h_batch.observe.rig import Rig, load_rig
+from r2h_batch.observe.rig import RIGS, Rig, load_rig
 from r2h_batch.observe.seeing import Level, Region, look
 from r2h_batch.observe.seen import Observation
 from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Masks
@@ -110,6 +111,27 @@ class Sees:
     def digest(self) -> str:
         """sha256 (hex) of the identity."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    @classmethod
+    def of_run(cls, header: Mapping[str, Any]) -> "Sees | None":
+        """The sight of a run's methods; None where they were told the truth, or where the cameras are no built-in rig: a folder
+        may come from anybody, so files that it names are not opened.
+
+        Args:
+            header: run.json.
+
+        Raises:
+            UsageError: one line about the first word that cannot be.
+        """
+        said = header.get("sees")
+        if not isinstance(said, dict) or said.get("rig") not in RIGS:
+            return None
+        words = {k: said.get(k) for k in ("noise", "labels", "region", "seed")}
+        if said.get("object", "unknown") != "unknown":
+            words |= {"model": "known", "object": said["object"]}
+        options = (f"{k}={v}" for k, v in words.items() if v is not None)
+        found = cls.parse(",".join([said["rig"], *options]))
+        return found if found.rig.digest == said.get("rig_digest") else None
 
     def look(self, scene: Scene, trials: Trials) -> tuple[Observation, Float32[Tensor, "n 4 4"]]:
         """Look at N trials: what is seen, and where their objects lie in truth (T_world_obj, m).

@@ -183,12 +183,18 @@ def view(
         for s in shown if strips is not None else ():
             print(f"{s.method}: {verdict_of(s)}")
         drawings += map(Drawing, shown)
-    from r2h_batch.view.pictures import write_film, write_strips
-
     if video is not None:
-        write_film(drawings, video, size=size or (960, 720), fps=fps)
+        from r2h_batch.view.film import Story, write_film
+        from r2h_batch.view.whole import story_of
+
+        wide = size or (960, 720)
+        whole = "asks" in reader.run.header and not receiver_motion
+        stories = [story_of(reader, d, fps) if whole else Story(d) for d in drawings]
+        write_film(stories, video, size=wide, fps=fps)
         print(video)
     if strips is not None:
+        from r2h_batch.view.pictures import write_strips
+
         write_strips(drawings, strips, n=frames, size=size or (480, 400))
         print(strips)
     return 0

@@ -105,7 +105,7 @@ class Reader:
             raise RunError(f"trial {trial_id} of {name!r} {words}")
         for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
             row |= details
-        trial = self._trial(row)
+        trial = self.trial_of(row)
         poses = _rows(self.run.poses(name), trial_id) if "poses" in stored else []
         path = _rows(self.run.paths(name), trial_id) if "paths" in stored else []
         if not _possible(poses, path):
@@ -176,8 +176,12 @@ class Reader:
             words = f"its configuration cannot be judged by this version ({what})"
             raise RunError(f"{self.where}: {words}") from None
 
-    def _trial(self, row: dict[str, Any]) -> Trials:
-        """This row's trial, made from the protocol."""
+    def trial_of(self, row: dict[str, Any]) -> Trials:
+        """The trial of a stored row, made from the protocol.
+
+        Raises:
+            RunError: the protocol has another one.
+        """
         objects = self.benchmark.objects
         trial = self.benchmark.trials_with_ids(_tensor([row["trial_id"]], torch.int64))
         hand, name = int(trial.hand_index[0]), objects[int(trial.object_index[0])].name

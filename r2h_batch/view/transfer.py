@@ -1,6 +1,7 @@
 """A film of a transfer: gripper, object and the person's hand, and the forces of arm and wrist as arrows."""
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,9 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_one
 from r2h_batch.trials.holding.held_out import load_held_out
-from r2h_batch.view.pictures import Image, film_writer
+from r2h_batch.types import Scores
+from r2h_batch.view.film import film_writer
+from r2h_batch.view.pictures import Image
 from r2h_batch.view.stored import Reader
 
 Array = NDArray[np.float64]
@@ -98,32 +101,91 @@ def write_transfer_film(
     run = reader.run.only([name])
     judge, _ = judge_of_bodies(run, benchmark, "cpu")
     trial_id, scores, _ = judged_one(run, name, judge, trial)
-    found, scene = reception(scores), judge.evaluator.scene
-    inputs = scores.inputs
-    assert inputs is not None
-    handed = handed_of(found, trial_id, inputs.trials, scene)
-    if not len(handed):
+    shown = Shown.of(scores, trial_id, case)
+    if shown is None:
         raise RunError(
             f"trial {trial} of {name!r}: nobody receives the object, so there is no transfer"
         )
-    objects = tuple(scene.objects)
-    kept: list[_Recorder] = []
-
-    def worlds(*args: Any) -> MujocoWorlds:
-        kept.append(_Recorder(*args))
-        return kept[-1]
-
-    (made,) = Simulator(scene.robot, objects, Setting(), 0, worlds).once(handed, [case])
-    model = _shown(
-        scene.robot, objects[handed.object_index[0]], handed, _hand(found, handed, scene), size
-    )
-    film = _film(model, kept[0].moments, size, fps)
-    total = _count(kept[0].moments, fps)
+    rest = round(REST_S * fps)
+    total = shown.count(fps) + rest
     with film_writer(out, fps) as write, progress(f"film {out.name}", total, "pictures") as told:
-        for image in film:
-            write(image)
-            told(1)
-    return str(made.transfers.outcome[0])
+        for k, image in enumerate(shown.images(size, fps)):
+            last = k == shown.count(fps) - 1
+            for _ in range(1 + rest * last):
+                write(image)
+                told(1)
+    return shown.outcome
+
+
+@dataclass(frozen=True)
+class Shown:
+    """A simulated transfer to look at.
+
+    Attributes:
+        model: gripper, object and hand, with what one sees.
+        moments: of every tick.
+        outcome: how it ended.
+    """
+
+    model: mujoco.MjModel
+    moments: list[Moment]
+    outcome: str
+
+    @classmethod
+    def of(cls, scores: Scores, trial_id: NDArray[np.int64], case: Case) -> "Shown | None":
+        """Simulates the transfer of one row; None where nobody receives the object.
+
+        Args:
+            scores: one row with its inputs.
+            trial_id: (1,) its trial.
+            case: policy, scenario and person.
+        """
+        inputs = scores.inputs
+        assert inputs is not None
+        found, scene = reception(scores), inputs.evaluator.scene
+        handed = handed_of(found, trial_id, inputs.trials, scene)
+        if not len(handed):
+            return None
+        objects = tuple(scene.objects)
+        kept: list[_Recorder] = []
+
+        def worlds(*args: Any) -> MujocoWorlds:
+            kept.append(_Recorder(*args))
+            return kept[-1]
+
+        (made,) = Simulator(scene.robot, objects, Setting(), 0, worlds).once(handed, [case])
+        hand, own = _hand(found, handed, scene), objects[handed.object_index[0]]
+        model = _shown(scene.robot, own, handed, hand)
+        return cls(model, kept[0].moments, str(made.transfers.outcome[0]))
+
+    def count(self, fps: int) -> int:
+        """How many images there are."""
+        return len(self._times(fps))
+
+    def images(self, size: tuple[int, int], fps: int) -> Iterator[Image]:
+        """The images, each with its time and forces in words.
+
+        Args:
+            size: width and height, pixels.
+            fps: images a second.
+        """
+        model = self.model
+        model.vis.global_.offwidth, model.vis.global_.offheight = size
+        data, places = mujoco.MjData(model), Places.of(model)
+        with renderer(model, *size) as drawer:
+            for t in self._times(fps):
+                now = self.moments[min(int(t / TICK_S), len(self.moments) - 1)]
+                data.qpos[:] = now.qpos
+                mujoco.mj_forward(model, data)
+                drawer.update_scene(data, "side")
+                front = FRONT_M * data.cam_xmat[0].reshape(3, 3)[:, 2]
+                pads = data.geom_xpos[places.pads].mean(0)
+                _arrow(drawer.scene, data.xpos[places.hand_body] + front, now.arm, ARM_COLOR)
+                _arrow(drawer.scene, pads + front, now.wrist, WRIST_COLOR)
+                yield _captioned(np.array(drawer.render()), t, now)
+
+    def _times(self, fps: int) -> Array:
+        return np.arange(0.0, len(self.moments) * TICK_S, 1 / fps)
 
 
 def _hand(found: Reception, handed: Handed, scene: Scene) -> tuple[Array, NDArray[np.int64]]:
@@ -150,7 +212,6 @@ def _shown(
     model: ObjectModel,
     handed: Handed,
     hand: tuple[Array, NDArray[np.int64]],
-    size: tuple[int, int],
 ) -> mujoco.MjModel:
     """The model of the transfer with what one sees; the geoms weigh nothing and touch nothing."""
     spec = transfer_spec(robot, model, Setting())
@@ -191,7 +252,6 @@ def _shown(
         rgb1=[0.97, 0.97, 0.98], rgb2=[0.84, 0.86, 0.89], width=64, height=384,
     )  # fmt: skip
     spec.visual.headlight.ambient = [0.35, 0.35, 0.35]
-    spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     made = spec.compile()
     place(made, Places.of(made), handed.T_gripper_slip[0], handed.T_gripper_obj[0], arm_n_m=300.0)
     return made
@@ -202,34 +262,6 @@ def _tube(body: mujoco.MjsBody, a: Any, b: Any, radius: float) -> None:
     body.add_geom(
         type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*a, *b], size=[radius, 0, 0], rgba=[*COLORS["gripper"], 1], **_SEEN
     )  # fmt: skip
-
-
-def _count(moments: list[Moment], fps: int) -> int:
-    """Images of a film."""
-    return len(np.arange(0.0, len(moments) * TICK_S, 1 / fps)) + round(REST_S * fps)
-
-
-def _film(
-    model: mujoco.MjModel, moments: list[Moment], size: tuple[int, int], fps: int
-) -> Iterator[Image]:
-    """Its images, with a short rest at the end."""
-    data, places = mujoco.MjData(model), Places.of(model)
-    with renderer(model, *size) as drawer:
-        image: Image | None = None
-        for t in np.arange(0.0, len(moments) * TICK_S, 1 / fps):
-            now = moments[min(int(t / TICK_S), len(moments) - 1)]
-            data.qpos[:] = now.qpos
-            mujoco.mj_forward(model, data)
-            drawer.update_scene(data, "side")
-            front = FRONT_M * data.cam_xmat[0].reshape(3, 3)[:, 2]
-            pads = data.geom_xpos[places.pads].mean(0)
-            _arrow(drawer.scene, data.xpos[places.hand_body] + front, now.arm, ARM_COLOR)
-            _arrow(drawer.scene, pads + front, now.wrist, WRIST_COLOR)
-            image = _captioned(np.array(drawer.render()), t, now)
-            yield image
-        for _ in range(round(REST_S * fps)):
-            if image is not None:
-                yield image
 
 
 def _arrow(scene: mujoco.MjvScene, start: Array, force: Array, rgba: tuple[float, ...]) -> None:

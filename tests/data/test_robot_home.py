@@ -160,3 +160,47 @@ def test_corners_of_a_mesh_in_the_table_are_found_before_bodies_are_fitted():
     touching[k] = np.tile((inside - T[k, :3, 3]) @ T[k, :3, :3], (1, 3, 1))
     assert free_home(robot, table, "arm.urdf", meshes) == first
     assert free_home(robot, table, "arm.urdf", touching) != first
+
+
+WALL = '<visual><origin xyz="0.6 0 0.4"/><geometry><box size="{} 1.4 2.0"/></geometry></visual>'
+"""A wall of the base: the gripper is in it in each posture to start from, and beside it in others."""
+
+
+def with_wall(depth: float) -> dict[str, str]:
+    base = '<link name="base"><visual>'
+    return {base: base.replace("<visual>", WALL.format(depth) + "<visual>")}
+
+
+def test_an_arm_whose_gripper_meets_a_link_in_each_posture_is_refused_before_all_links_are_fitted(
+    tmp_path, monkeypatch
+):
+    fitted, of_a_link = [], importer.bodies_of
+
+    def told(link, *more):
+        fitted.append(link.name)
+        return of_a_link(link, *more)
+
+    monkeypatch.setattr(importer, "bodies_of", told)
+    with one_line(r"\d+ postures .* were tried: links overlap in each, most often base and gripper; give one with"):
+        made(write_urdf(tmp_path, **with_wall(0.9)))
+    assert fitted == ["base"]
+
+
+def test_a_link_that_the_gripper_meets_in_some_postures_alone_is_fitted_once_with_the_others(tmp_path, monkeypatch):
+    """This wall ends below the places that are tried after the usual one."""
+    fitted, of_a_link = [], importer.bodies_of
+    usual = made(write_urdf(tmp_path)).robot.home_q
+    monkeypatch.setattr(
+        importer, "bodies_of", lambda link, *more: (fitted.append(link.name), of_a_link(link, *more))[1]
+    )
+    low = with_wall(0.9)
+    path = write_urdf(tmp_path, **{old: new.replace("0.6 0 0.4", "0.6 0 -0.52") for old, new in low.items()})
+    assert made(path).robot.home_q != usual and fitted == ["base", *(f"l{k}" for k in range(1, 8))]
+
+
+def test_a_link_that_always_meets_the_gripper_is_no_reason_to_refuse(tmp_path):
+    """Such a pair is not checked: here l6 holds a ball that reaches past the flange in every posture."""
+    ball = '<sphere radius="0.045"/>'
+    robot = made(write_urdf(tmp_path, **{ball: ball.replace("0.045", "0.2")})).robot
+    k = robot.links.index("l6")
+    assert [k, len(robot.links) - 1] not in robot.self_pairs.tolist()

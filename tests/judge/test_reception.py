@@ -24,8 +24,10 @@ from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
 from r2h_batch.protocols.draw.receivers import arm_axes
+from r2h_batch.scene.hand import HandModel
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
+from r2h_batch.trials.holding import held_out
 from r2h_batch.trials.holding.capacity import usual_grips
 from r2h_batch.trials.holding.held_out import (
     CONE_EDGES,
@@ -545,6 +547,26 @@ def test_a_row_depends_on_its_own_trial_alone(scores, found):
     for name in each(judge.Reception.__dataclass_fields__):
         a, b = getattr(found, name)[rows], getattr(again, name)
         assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
+
+
+def test_hands_are_posed_once_however_often_objects_are_added_and_every_row_stays_what_it_was(
+    scores, found, monkeypatch
+):
+    monkeypatch.setattr(held_out, "_loaded", cache(held_out._loaded.__wrapped__))
+    own, posed, real = Evaluator(load_benchmark("r2h-v1"), evaluator().config), [], HandModel.pose
+    monkeypatch.setattr(HandModel, "pose", lambda self, pose, *a: posed.append(len(pose)) or real(self, pose, *a))
+    asked = scores.with_inputs(replace(scores.inputs, evaluator=own))
+    objects = scores.inputs.trials.object_index
+    order = objects.unique()[[3, 0, 5, 4]]  # before, behind and between those that are there
+    for k in each(range(1, 5)):
+        rows = torch.isin(objects, order[:k]).nonzero().flatten()
+        again = reception(asked[rows])
+        for name in judge.Reception.__dataclass_fields__:
+            a, b = getattr(found, name)[rows], getattr(again, name)
+            assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
+        there = load_held_out(own.scene.objects, own.scene.hands.model, order[:k].tolist())
+        assert sum(posed) == len(there.grasps) == 512 * k and there.loaded == set(order[:k].tolist())
+        assert max(posed) <= 512
 
 
 def test_counts_fall_step_by_step_the_easiest_grasp_passes_and_without_lean_fewer_arms_reach(scores, found):

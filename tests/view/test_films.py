@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from needs import needs
 
-from r2h_batch.view import pictures
+from r2h_batch.view import film as films
 from r2h_batch.view.drawing import DIRECTIONS_DEG, Drawing, view_of
+from r2h_batch.view.film import STILL_S, Caption, Story, write_film
 from r2h_batch.view.mjcf import MARK
-from r2h_batch.view.pictures import STILL_S, Caption, write_film
 from r2h_batch.view.stored import Reader
 
 pytestmark = needs("gl")
@@ -43,7 +43,7 @@ def lines_of(monkeypatch):
 def test_a_film_says_trial_method_time_and_from_the_end_on_the_verdict(reader, tmp_path, monkeypatch):
     said = lines_of(monkeypatch)
     drawing = drawing_of(reader, "success", "oracle")
-    write_film([drawing], tmp_path / "x.gif", size=(240, 180), fps=2)
+    write_film([Story(drawing)], tmp_path / "x.gif", size=(240, 180), fps=2)
     end = drawing.motion()[0][-1]
     assert all(f"Trial {drawing.stored.row['trial_id']}:" in head and "oracle" in head for head, _ in said)
     for k, (_, (when, verdict)) in enumerate(said):
@@ -57,7 +57,7 @@ def test_a_film_without_a_motion_turns_around_the_posture_and_says_why(reader, t
 
     said = lines_of(monkeypatch)
     drawing = drawing_of(reader, "plan")
-    write_film([drawing], tmp_path / "x.gif", size=(240, 180), fps=3)
+    write_film([Story(drawing)], tmp_path / "x.gif", size=(240, 180), fps=3)
     film = imageio.imread(tmp_path / "x.gif", index=None)[..., :3].astype(int)
     assert len(said) == len(film) == round(3 * STILL_S)
     assert np.abs(np.diff(film, axis=0)).mean((1, 2, 3)).min() > 0.2  # no two pictures are the same
@@ -125,8 +125,8 @@ def test_a_film_tells_how_far_it_is_in_python_too(reader, tmp_path, monkeypatch)
         def __exit__(self, *_):
             pass
 
-    monkeypatch.setattr(pictures, "progress", Listening)
-    write_film([drawing], tmp_path / "x.gif", size=(96, 64), fps=1)
+    monkeypatch.setattr(films, "progress", Listening)
+    write_film([Story(drawing)], tmp_path / "x.gif", size=(96, 64), fps=1)
     assert told == [["film x.gif", told[0][1], "pictures", told[0][1]]]
 
 

@@ -16,8 +16,9 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs.files import RunError
 from r2h_batch.view.captions import as_markdown
 from r2h_batch.view.drawing import Drawing, view_of
+from r2h_batch.view.film import Story, write_film
 from r2h_batch.view.page import Drawn, aim, write_page
-from r2h_batch.view.pictures import image_at_end, images, ringed, write_film
+from r2h_batch.view.pictures import image_at_end, images, ringed
 from r2h_batch.view.stored import Reader, one_failure_of_each
 
 pytestmark = needs("viser")
@@ -226,7 +227,7 @@ def test_every_failure_is_red_in_its_strip_and_film_and_not_covered_on_its_page(
         reds(near) > reds(ringed(np.full_like(near, 200), drawing.event[1], view_of([drawing], 1.25, close=True))) + 20
     )
     assert reds(far) > 60
-    write_film([drawing], tmp_path / "film.gif", size=(320, 256), fps=2)
+    write_film([Story(drawing)], tmp_path / "film.gif", size=(320, 256), fps=2)
     film = imageio.imread(tmp_path / "film.gif", index=None)[..., :3]
     assert max(map(reds, film)) > 30
     # on the page nothing opaque stands between the first camera and what fails

@@ -1,0 +1,98 @@
+"""Films of whole handovers: what cameras saw stands before the legs, the transfer behind the motion."""
+
+import json
+
+import numpy as np
+import pytest
+from needs import needs
+
+from r2h_batch.base.errors import UsageError
+from r2h_batch.observe.sees import Sees
+from r2h_batch.sweep.command import main as sweep
+from r2h_batch.view.drawing import Drawing
+from r2h_batch.view.film import Caption, Clip, Story, write_film
+from r2h_batch.view.stored import Reader
+from r2h_batch.view.whole import SEEN_S, story_of
+
+SEES = "cell-v1,noise=0.5,labels=grown,model=known,object=field,region=told,seed=3"
+
+
+@pytest.fixture(scope="module")
+def reader(tmp_path_factory):
+    out = tmp_path_factory.mktemp("whole") / "run"
+    line = ["--benchmark", "r2h-v3-draft", "--method", "learned", "random", "--trials", "3", "--sim", "none"]
+    assert sweep([*line, "--sees", SEES, "--out", str(out)]) == 0
+    return Reader(out)
+
+
+def drawings(reader, passed):
+    """Drawings of the rows of `learned` whose transfer was (not) asked for."""
+    rows = [r for m in ("learned", "random") for r in reader.rows(reader.method(m)).to_pylist()]
+    found = [r for r in rows if (r["passed_taken"] is not None) is passed and r["passed_pick"]]
+    assert found
+    row = found[0]
+    method = next(m for m in ("learned", "random") if row in reader.rows(reader.method(m)).to_pylist())
+    return Drawing(reader.trial(row["trial_id"], method))
+
+
+@needs("gl")
+def test_a_received_row_is_told_from_the_cameras_to_the_hand(reader):
+    story = story_of(reader, drawings(reader, True), 4)
+    assert story.before.length == round(4 * SEEN_S) and story.after.length > 4
+    seen = list(story.before.images((320, 240)))
+    assert len(seen) == story.before.length and seen[0].shape == (240, 320, 3)
+    assert seen[0].std() > 10  # no empty picture
+    taken = list(story.after.images((320, 240)))
+    assert len(taken) == story.after.length and not np.array_equal(taken[0], taken[-1])
+
+
+@needs("gl")
+def test_no_transfer_is_shown_of_a_row_that_nobody_was_asked_to_take(reader):
+    story = story_of(reader, drawings(reader, False), 4)
+    assert story.before is not None and story.after is None
+
+
+@needs("gl")
+def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(reader, tmp_path, monkeypatch):
+    said = []
+    around = Caption.around
+
+    def listening(self, image, head, words):
+        said.append((int(image[0, 0, 0]), tuple(words)))
+        return around(self, image, head, words)
+
+    monkeypatch.setattr(Caption, "around", listening)
+
+    def clip(n, gray, words):
+        return Clip(n, lambda size: (np.full((size[1], size[0], 3), gray, np.uint8) for _ in range(n)), words)
+
+    drawing = drawings(reader, True)
+    write_film([Story(drawing, clip(3, 11, "seen"), clip(4, 22, "taken"))], tmp_path / "x.gif", size=(240, 180), fps=2)
+    words = [w for _, w in said]
+    assert [g for g, _ in said[:3]] == [11] * 3 and words[:3] == [("seen", "")] * 3
+    legs = [w[1] for w in words if w[0] not in ("seen", "taken")]
+    assert legs[0] == "picks" and "lifts" in legs and legs[-1] == ""
+    taken = [(g, w[1]) for g, w in said if w[0] == "taken"]
+    assert said[-len(taken) :] == [x for x in said if x[1][0] == "taken"] and {g for g, _ in taken} == {22}
+    verdicts = [v for _, v in taken]
+    assert verdicts[:4] == [""] * 4 and len(verdicts) == 7 and all(verdicts[4:])
+
+
+def test_the_sight_of_a_run_is_read_back_from_its_header(reader):
+    sees = Sees.of_run(reader.run.header)
+    assert sees == Sees.parse(SEES)
+    assert Sees.of_run({}) is None and Sees.of_run({"sees": None}) is None
+
+
+@pytest.mark.parametrize("change", [{"rig": "/etc/passwd"}, {"rig": "mine.toml"}, {"rig_digest": "0" * 64}])
+def test_cameras_of_a_file_are_not_opened(reader, change):
+    header = json.loads(json.dumps(reader.run.header))
+    header["sees"] |= change
+    assert Sees.of_run(header) is None
+
+
+def test_a_header_with_words_that_are_none_is_one_line(reader):
+    header = json.loads(json.dumps(reader.run.header))
+    header["sees"] |= {"noise": "much"}
+    with pytest.raises(UsageError, match="noise is 'much'"):
+        Sees.of_run(header)
