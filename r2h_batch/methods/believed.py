@@ -213,7 +213,7 @@ def contacts_of_any(grid: Float32[Tensor, "1 5 64 64 64"]) -> Float32[Tensor, "1
 
 
 def contacts_on(model: ObjectModel) -> Float32[np.ndarray, " p"]:
-    """Where the built-in network expects people's hands on an object: a probability of each point of its cloud. A surface that
+    """Probability of each point of an object's cloud that a hand is there, as the built-in network says. A surface that
     has come before is not asked again.
 
     Args:
