@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods.predictors import Observations
+    from r2h_batch.observe.sees import Sees
     from r2h_batch.scene.objects import ObjectModel
     from r2h_batch.sweep.seeing import Looks
     from r2h_batch.trials.noise import Errors
@@ -136,14 +137,15 @@ def set_up(request: Request) -> Setting:
     benchmark = request.trials.read(pieces=collision == "pieces")
     plan = request.trials.plan(benchmark)
     config = benchmark.config(request.configuration)
-    setting = prepare(benchmark, plan, config, request.work, request.loop)
+    sees = request.methods.sees and request.methods.sees.on(benchmark)
+    setting = prepare(benchmark, plan, config, request.work, request.loop, sees)
     setting.header.update(
         benchmark={"flags": request.trials.benchmark.flags()},
         seed=request.methods.seed,
         predictors=request.methods.about_predictors(),
         stored=request.storage.kinds,
     )
-    if (sees := request.methods.sees) is not None:
+    if sees is not None:
         setting.header["sees"] = sees.identity
         setting.header["digests"]["sees"] = sees.digest
     if request.left_out:
@@ -157,6 +159,7 @@ def prepare(
     config: "EvalConfig",
     work: Work,
     loop: "Loop | None",
+    sees: "Sees | None" = None,
 ) -> Setting:
     """The setting of a plan (split -> trials of it); its header lacks what it does not depend on."""
     import platform
@@ -168,7 +171,10 @@ def prepare(
 
     count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects
     first_trials = benchmark.trials(count, splits=list(plan))
-    evaluator = Evaluator(benchmark, config, device=work.device, threads=work.threads)
+    evaluator = Evaluator(
+        benchmark, config, device=work.device, threads=work.threads,
+        plans_in=sees if sees is not None and sees.plans else None,
+    )  # fmt: skip
     robot, execute = benchmark.robot, config.execute
     about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
     if robot.ik_missed and robot.family != "ur":
@@ -549,6 +555,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         NotBuiltIn: a method or files of the user's answered.
         UsageError: the built-in method takes no such options.
     """
+    from r2h_batch.observe.sees import Sees
     from r2h_batch.trials.noise import Errors
 
     predictors = header.get("predictors", {})
@@ -567,11 +574,15 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     given = {part.partition("=")[0].strip() for part in method_options.split(",")}
     if own := given & {*METHODS[word].files}:
         raise NotBuiltIn(f"{', '.join(own)} came from a file of its own, which is not opened")
+    sees = Sees.of_run(header)
+    if sees is None and header.get("sees") is not None:
+        raise NotBuiltIn("it saw by cameras of a file of its own, which is not opened")
     noise_factor = predictors.get("noise_factor", 1.0)
     name = f"{word},{method_options}" if method_options else word
     methods = Methods(
-        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors)
-    )
+        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors),
+        sees=sees,
+    )  # fmt: skip
     return _method_job(name, evaluator, methods)
 
 
