@@ -384,7 +384,7 @@ class Evaluator(Prepared):
                 world.scene, grasps, held.T_world_ee[rows], world.trials, self.config
             )
             own = judge_picks(world.scene, grasps, rest, world.trials, paths=True)
-            plan, missed, seconds = self._in(world.scene)._plan(seen, world.trials, own)
+            plan, missed, seconds = self.in_scene(world.scene)._plan(seen, world.trials, own)
             put(picked, rows, own)
             put(planned, rows, plan)
             missed_m[rows], t_plan_s = missed, seconds * len(rows) / b
@@ -393,8 +393,12 @@ class Evaluator(Prepared):
         met = planned.reason == int(PlanReason.MOTION_IN_COLLISION)
         return picked, planned, torch.where(met, planned.clearance_m, missed_m), t_plan_s
 
-    def _in(self, scene: Scene) -> "Evaluator":
-        """The same evaluator in another scene, which knows all of it."""
+    def in_scene(self, scene: Scene) -> "Evaluator":
+        """The same evaluator in another scene, where planning knows the truth.
+
+        Args:
+            scene: its benchmark has the same limits and criteria.
+        """
         twin = copy.copy(self)
         twin.scene, twin.plans_in = scene, None
         return twin
