@@ -277,7 +277,7 @@ class Evaluator(Prepared):
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
 
-        picked = self._picked(held, T_obj_ee, trials, paths=True)
+        picked = self._picked(held, T_obj_ee, trials, ways=True)
         plan_start = time.perf_counter()
         ik, branches = self._branches(config, held)
         key = random_key(trials.trial_id)
@@ -375,7 +375,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=executed.valid,
-            picked=self._picked(held, T_obj_ee, trials, paths=True),
+            picked=self._picked(held, T_obj_ee, trials, ways=True),
         )
         region = presented(scene, held, self.config.thresholds)
         return motion_scores(
@@ -445,7 +445,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=None,
-            picked=self._picked(held, T_obj_ee, trials, paths=False),
+            picked=self._picked(held, T_obj_ee, trials, ways=False),
         )
         found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
         if person is not None:
@@ -487,10 +487,10 @@ class Evaluator(Prepared):
         return found, nearest
 
     def _picked(
-        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, paths: bool
+        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, ways: bool
     ) -> "Picked | None":
         """Whether the arm picks the objects where they rest; None where the benchmark does not ask.
-        `paths`: it also gets there from home."""
+        `ways`: also by the ways to the grasp and up from it."""
         if "pick" not in self.benchmark.asks:
             return None
         from r2h_batch.judge.pick import judge_picks
@@ -501,7 +501,7 @@ class Evaluator(Prepared):
             len(T_obj_ee), 1, 1
         )
         T_world_obj[active] = known_moments(self.scene).of(trials[active])
-        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, paths=paths)
+        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, ways=ways)
 
     def _person_distance(
         self,

@@ -113,7 +113,7 @@ def picked(
 
 def judge_picks(
     scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, *,
-    paths: bool = True, told: Callable[[int], None] = lambda rows: None,
+    ways: bool = True, told: Callable[[int], None] = lambda rows: None,
 ) -> Picked:  # fmt: skip
     """`picked` of checked inputs.
 
@@ -122,13 +122,13 @@ def judge_picks(
         T_obj_ee: (B, 4, 4) grasps, m.
         T_world_obj: (B, 4, 4) where the objects rest, m.
         trials: B trials.
-        paths: also look for the path from home; else Pick is the stages before it.
+        ways: also judge the ways to the grasp and up from it; else Pick is what it asks at the grasp: the first two stages.
         told: is called with the number of rows of each batch that is done.
     """
     parts = []
     for i in range(0, max(len(trials), 1), ROWS):
         grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
-        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS], paths).judged())
+        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged(ways))
         told(len(grasp))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
@@ -222,11 +222,10 @@ class _Batch:
     T_world_obj: Tensor
     T_world_ee: Tensor
     T_world_hand: Tensor
-    paths: bool  # from home
 
     @staticmethod
     def of(
-        scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, paths: bool
+        scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials
     ) -> "_Batch":
         """Rows whose poses are poses are active."""
         usable = over_trials(usable_rows, len(trials), scene.device, chunk=4096)(
@@ -242,16 +241,16 @@ class _Batch:
         T_world_ee = se3.matmul(usable["T_world_ee"], T_obj_ee)
         return _Batch(
             scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee,
-            usable["T_world_ee"], T_world_ee, usable["T_world_hand"], paths,
+            usable["T_world_ee"], T_world_ee, usable["T_world_hand"],
         )  # fmt: skip
 
     def some(self, rows: Tensor) -> "_Batch":
         """These rows alone."""
-        every = {f.name: getattr(self, f.name)[rows] for f in fields(_Batch)[1:-1]}
+        every = {f.name: getattr(self, f.name)[rows] for f in fields(_Batch)[1:]}
         return replace(self, **every)
 
-    def judged(self) -> Picked:
-        """All stages; a row goes on to the next one if no earlier stage fails."""
+    def judged(self, ways: bool) -> Picked:
+        """All stages, or the first two; a row goes on to the next one if no earlier stage fails."""
         scene, b = self.scene, len(self.objects)
         # reach
         ik = solve_ik(
@@ -278,32 +277,34 @@ class _Batch:
         reason[at[met]] = int(PickReason.GRASP_COLLIDES)
 
         free = at[~met]
-        rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
-        reason[free] = rest.reason.long()
-        found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
-        reason[~self.active] = int(PickReason.NOT_EVALUATED)
-        none = torch.full_like(found.clearance_m, torch.nan)
-        found = _Nearest(
-            *(torch.where(self.active, x, y) for x, y in zip(found, _margin(none), strict=True))
-        )
+        none = ik.q[:0, :0]  # (0, 0, J)
+        walked = {"off_m": ik.q[:0, 0, 0], "length": reason[:0].to(torch.int32)}
+        walked |= dict.fromkeys(("path", "way_in", "way_up"), none)
+        if ways:
+            rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
+            reason[free] = rest.reason.long()
+            found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
+            walked = {name: getattr(rest, name) for name in walked}
 
         def spread(x: Tensor, value: float) -> Tensor:
             out = torch.full((b, *x.shape[1:]), value, dtype=x.dtype, device=x.device)
-            out[free] = x
+            if ways:
+                out[free] = x
             return out
 
+        reason[~self.active] = int(PickReason.NOT_EVALUATED)
+        nothing = _margin(torch.full_like(found.clearance_m, torch.nan))
+        found = _Nearest(
+            *(torch.where(self.active, x, y) for x, y in zip(found, nothing, strict=True))
+        )
         return Picked(
             picked=reason == int(PickReason.OK),
             reason=reason.to(torch.int32),
             margin_m=found.clearance_m,
             pair=found.pair,
             body=found.body,
-            off_m=spread(rest.off_m, torch.nan),
             T_world_ee=self.T_world_ee,
-            path=spread(rest.path, 0.0),
-            length=spread(rest.length, 0),
-            way_in=spread(rest.way_in, torch.nan),
-            way_up=spread(rest.way_up, torch.nan),
+            **{name: spread(x, 0 if name in ("path", "length") else torch.nan) for name, x in walked.items()},
         )
 
     def _from_here(self, q: Tensor, valid: Tensor) -> Picked:
@@ -423,10 +424,6 @@ class _Batch:
         up[row, slot] = lift.clearance_m > 0
         own = torch.nonzero(up.any(1)).flatten()
         if not len(own):
-            return
-        if not self.paths:
-            tried.slot[rows[own]] = up[own].to(torch.int8).argmax(1).to(torch.int32)
-            tried.way.clearance_m[rows[own]] = torch.inf
             return
         at, before = rows[own], ways.way_in[own, :, 0].contiguous()
         plan, way = self._way(at, before, up[own])
