@@ -4,7 +4,7 @@ gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; a cr
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -78,6 +78,9 @@ class Picked:
     way_in: Float32[Tensor, "b k j"]
     way_up: Float32[Tensor, "b k j"]
 
+    def __getitem__(self, rows: Any) -> "Picked":
+        return Picked(*(getattr(self, f.name)[rows] for f in fields(Picked)))
+
     @property
     def lifted(self) -> Float32[Tensor, "b j"]:
         """The posture at the end of the lift, rad, of the branch that passed; NaN without one. Carrying begins there."""
@@ -133,6 +136,28 @@ def judge_picks(
         grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
         parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged(ways))
         told(len(grasp))
+    return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
+
+
+def follow_picks(
+    scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, planned: Picked
+) -> Picked:
+    """Picks that were planned in a world that somebody believed in, judged in this one as the arm makes them.
+
+    A row that was not picked there stays as it is: the arm does not move.
+
+    Args:
+        scene: the true one.
+        T_obj_ee: (B, 4, 4) the grasps in the true objects' frames, m.
+        T_world_obj: (B, 4, 4) where the true objects rest, m.
+        trials: the true B trials.
+        planned: what was planned.
+    """
+    parts = []
+    for i in range(0, max(len(trials), 1), ROWS):
+        own = slice(i, i + ROWS)
+        batch = _Batch.of(scene, T_obj_ee[own], T_world_obj[own], trials[own])
+        parts.append(batch.followed(planned[own]))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
 
@@ -311,6 +336,49 @@ class _Batch:
             },
         )
 
+    def followed(self, planned: Picked) -> Picked:
+        """`follow_picks` of these rows."""
+        rows = torch.nonzero(self.active & planned.picked).flatten()
+        if not len(rows):
+            return planned
+        made = self.some(rows)._made(planned[rows])
+        out = planned[
+            torch.arange(len(planned.picked), dtype=torch.int64, device=rows.device)
+        ]  # copies
+        for f in fields(Picked):
+            getattr(out, f.name)[rows] = getattr(made, f.name)
+        return out
+
+    def _made(self, planned: Picked) -> Picked:
+        """These rows, which were picked where they were planned, stage by stage."""
+        scene, limits, every = self.scene, self.scene.config.thresholds, self._every
+        at_grasp = planned.way_in[:, -1].contiguous()
+        stages = _Stages(self)
+        touching = self._gripper_at(every, at_grasp)
+        stages.fail(touching.clearance_m <= 0, PickReason.GRASP_COLLIDES, touching)
+        approach = self._approach(every, planned.way_in, depths=True)
+        stages.fail(approach.clearance_m <= 0, PickReason.APPROACH_COLLIDES, approach)
+        entered = self._entered(stages.left)
+        stages.fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
+        grasp = close_gripper(
+            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
+            mode=scene.config.width, known=True,
+        )  # fmt: skip
+        held = _margin(grasp.margin_m)
+        stages.fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
+        stages.fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
+        closing = self._closing(grasp, at_grasp, stages.left)
+        stages.fail(closing.clearance_m <= 0, PickReason.CLOSING_COLLIDES, closing)
+        lift = self._lift(grasp, every, planned.way_up, depths=True)
+        stages.fail(lift.clearance_m <= 0, PickReason.LIFT_COLLIDES, lift)
+        way = self._clear_of(every, planned.path, planned.length)
+        stages.fail(way.clearance_m <= 0, PickReason.PATH_COLLIDES, way)
+        stages.pass_by(touching, approach, entered, held, closing, lift, way)
+        return replace(
+            planned, picked=stages.left, reason=stages.reason.to(torch.int32), margin_m=stages.found.clearance_m,
+            pair=stages.found.pair, body=stages.found.body,
+        )  # fmt: skip
+
     def _from_here(self, q: Tensor, valid: Tensor) -> Picked:
         """The stages after the first two, of rows that pass those; q, valid: (B, 8) branches at the grasp."""
         scene = self.scene
@@ -320,16 +388,8 @@ class _Batch:
             mode=scene.config.width, known=True,
         )  # fmt: skip
         tried = self._tried(grasp, q, valid)
-        found = _margin(torch.full_like(self.T_world_ee[:, 0, 0], CUT_CAP_M))
-        reason = torch.zeros_like(self.objects)
-        left = torch.ones_like(self.active)
-
-        def fail(rows: Tensor, why: PickReason, by: _Nearest) -> None:
-            nonlocal found, reason, left
-            rows = rows & left
-            reason = torch.where(rows, int(why), reason)
-            found = _Nearest(*(torch.where(rows, y, x) for x, y in zip(found, by, strict=True)))
-            left = left & ~rows
+        stages = _Stages(self)
+        fail = stages.fail
 
         some = tried.whole.any(1)
         short = 2 * (STEPS[-1] + 1) - tried.followed
@@ -337,22 +397,22 @@ class _Batch:
 
         # straight in
         walked = tried.approach.clearance_m > 0
-        blocked, least_bad = self._blocked_approach(tried, left & ~walked.any(1))
+        blocked, least_bad = self._blocked_approach(tried, stages.left & ~walked.any(1))
         fail(~walked.any(1), PickReason.APPROACH_COLLIDES, blocked)
-        entered = self._entered(left)
+        entered = self._entered(stages.left)
         fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
 
         # close
         held = _margin(grasp.margin_m)
         fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
         fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
-        closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], left)
+        closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], stages.left)
         fail(closing.clearance_m <= 0, PickReason.CLOSING_COLLIDES, closing)
 
         # straight up
         up = walked & (tried.lift.clearance_m > 0)
         widest = tried.approach.clearance_m.argmax(1)
-        fails = left & ~up.any(1)
+        fails = stages.left & ~up.any(1)
         fail(fails, PickReason.LIFT_COLLIDES, self._blocked_lift(grasp, tried, widest, fails))
 
         # home to 10 cm before the grasp
@@ -366,13 +426,14 @@ class _Batch:
         first = torch.where(walked.any(1), widest, least_bad)
         slot = torch.where(up.any(1), up.to(torch.int8).argmax(1), first)
         slot = torch.where(tried.slot >= 0, tried.slot.long(), slot)
-        for by in (entered, held, closing, tried.approach.at(slot), tried.lift.at(slot), tried.way):
-            nearer = found.nearer(by)
-            found = _Nearest(*(torch.where(left, y, x) for x, y in zip(found, nearer, strict=True)))
+        stages.pass_by(
+            entered, held, closing, tried.approach.at(slot), tried.lift.at(slot), tried.way
+        )
+        found, left = stages.found, stages.left
         ways = [_of_slot(x, slot, some) for x in (tried.way_in, tried.way_up)]
         return Picked(
             picked=left,
-            reason=reason.to(torch.int32),
+            reason=stages.reason.to(torch.int32),
             margin_m=found.clearance_m,
             pair=found.pair,
             body=found.body,
@@ -646,15 +707,44 @@ class _Batch:
         way = _margin(torch.full_like(plan.clearance_m, CUT_CAP_M))
         near = torch.nonzero(at_posture | (plan.clearance_m < CUT_CAP_M + FAR_FROM_M)).flatten()
         if len(near):
-            worlds = (
-                self._bodies(w, rows[near], open_m[near]) for w in (self._empty, self._resting)
-            )
-            first, second = (
-                _Nearest(*path_clearances(scene, w, path[near], length[near], cap_m=CUT_CAP_M))
-                for w in worlds
-            )
-            way.put((near,), first.nearer(second.of(CollidingPair.OBJECT_ROBOT)))
+            way.put((near,), self._clear_of(rows[near], path[near], length[near]))
         return plan, way
+
+    def _clear_of(self, rows: Tensor, path: Tensor, length: Tensor) -> _Nearest:
+        """Smallest clearances (R,) of the empty robot along paths from home: from the resting object, and from all else."""
+        found = []
+        for world in (self._empty, self._resting):
+            poses = self._bodies(world, rows, self._open(rows))
+            found.append(
+                _Nearest(*path_clearances(self.scene, poses, path, length, cap_m=CUT_CAP_M))
+            )
+        return found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
+
+
+class _Stages:
+    """The first stage of each row that fails, and what its margin is about; rows that are `left` have passed all so far."""
+
+    def __init__(self, batch: _Batch) -> None:
+        self.found = _margin(torch.full_like(batch.T_world_ee[:, 0, 0], CUT_CAP_M))
+        self.reason = torch.zeros_like(batch.objects)
+        self.left = torch.ones_like(batch.active)
+
+    def fail(self, rows: Tensor, why: PickReason, by: _Nearest) -> None:
+        """Rows fail here that have not failed before."""
+        rows = rows & self.left
+        self.reason = torch.where(rows, int(why), self.reason)
+        self._put(rows, by)
+        self.left = self.left & ~rows
+
+    def pass_by(self, *stages: _Nearest) -> None:
+        """The smallest of these is the margin of rows that have passed them all."""
+        for by in stages:
+            self._put(self.left, self.found.nearer(by))
+
+    def _put(self, rows: Tensor, by: _Nearest) -> None:
+        self.found = _Nearest(
+            *(torch.where(rows, y, x) for x, y in zip(self.found, by, strict=True))
+        )
 
 
 def _deeper(met: _Nearest, known: _Nearest) -> _Nearest:

@@ -29,7 +29,8 @@ from r2h_batch.config import OBJECT_ERRORS, EvalConfig, ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.grasps import NoGraspError, sample_grasps
 from r2h_batch.methods.predictors import Observations, PredictorNoise
-from r2h_batch.methods.predictors.external_predictions import ExternalHands
+from r2h_batch.methods.predictors.external_predictions import ExternalHands, ExternalPoints
+from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import load_axes_network
 from r2h_batch.methods.robust import Sizes
 from r2h_batch.observe.seeing import Level
@@ -54,11 +55,14 @@ SOLID_M, SOLID_DEG = (0.002, 0.002), (1.0, 1.0)
 2 mm with exact images, by 4 mm with errors."""
 _GRASP, _RECEIVING = 0, 1  # purposes of the random counters
 
-KEPT_SOLIDS = 256
-"""Solids that stay for the next method of a sweep: 0.7 of the 1.5 CPU seconds that FC takes for a trial, 0.3 MB each."""
+KEPT_SOLIDS = 1024
+"""Solids, and hands and contacts on them, that stay for the next method of a sweep of 500 trials a split: 1.1 CPU seconds and
+0.3 MB each."""
 SOLIDS: OrderedDict[tuple[str, Robot], tuple[ObjectModel, NDArray[np.float64]] | None] = (
     OrderedDict()
 )
+CONTACTS: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+"""Digest of a solid's surface -> where the contact network expects people's hands on it."""
 
 GARBAGE_AFTER = 16
 """Solids that are built before garbage is looked for. Each leaves 15 MB of meshes that refer to each other in circles, and Python
@@ -151,10 +155,16 @@ class AskedHere:
         found = dict(self._options)
         if "noise" in self._takes:
             found["noise"] = self._noise
-        if "seen" in self._takes:
-            found["seen"] = world.receiving
+        seen = world.receiving
         if "predictor" in self._takes:
             found["predictor"] = contacts_of_any
+            if not found.get("cameras"):  # else the network is shown less than the solid
+                on = np.stack([contacts_on(model) for model in world.scene.objects])
+                seen = replace(
+                    seen, contacts=ExternalPoints("seen solid", None, {"probability": on})
+                )
+        if "seen" in self._takes:
+            found["seen"] = seen
         if "T_world_obj" in self._takes and "pick" in world.scene.benchmark.asks:
             found["T_world_obj"] = world.T_world_obj.float()
         if "sizes" in self._takes:
@@ -200,6 +210,26 @@ def contacts_of_any(grid: Float32[Tensor, "1 5 64 64 64"]) -> Float32[Tensor, "1
     """
     found: Tensor = load_axes_network()(grid)
     return found
+
+
+def contacts_on(model: ObjectModel) -> Float32[np.ndarray, " p"]:
+    """Probability of each point of an object's cloud that a hand is there, as the built-in network says. A surface that
+    has come before is not asked again.
+
+    Args:
+        model: a believed object.
+    """
+    surface = model.voxels, model.voxel_origin, np.float64(model.voxel_pitch), model.points
+    digest = hashlib.sha256(
+        b"".join(np.ascontiguousarray(x).tobytes() for x in surface)
+    ).hexdigest()
+    if digest not in CONTACTS:
+        i, j, k = voxel_of_points(model).T
+        with torch.no_grad():
+            CONTACTS[digest] = contacts_of_any(contact_grids([model]))[0, i, j, k].numpy()
+        while len(CONTACTS) > KEPT_SOLIDS:
+            CONTACTS.popitem(last=False)
+    return CONTACTS[digest]
 
 
 def believed(
@@ -355,7 +385,10 @@ def _object(
         digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + told).hexdigest()
         model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), told, robot)
         return None if model is None else (model, T)
-    shown = packed(seen[row : row + 1])
+    one = seen[row : row + 1]
+    if one.region is not None and not one.region.any():  # as where none is told
+        one = replace(one, region=None)
+    shown = packed(one)
     digest = (
         hashlib.sha256(  # the key too: it is of all images, and draws of the solid follow from it
             b"".join(
@@ -368,20 +401,20 @@ def _object(
     if (digest, robot) not in SOLIDS:
         while len(SOLIDS) >= KEPT_SOLIDS:
             SOLIDS.popitem(last=False)
-        SOLIDS[digest, robot] = _of_images(seen, row, robot)
+        SOLIDS[digest, robot] = _of_images(one, robot)
     return SOLIDS[digest, robot]
 
 
 def _of_images(
-    seen: Observation, row: int, robot: Robot
+    seen: Observation, robot: Robot
 ) -> tuple[ObjectModel, Float64[np.ndarray, "4 4"]] | None:
-    """The completed solid of a trial, and where its frame lies: level, about the middle of its box."""
-    solid = completed(seen, row)
+    """The completed solid of one trial, and where its frame lies: level, about the middle of its box."""
+    solid = completed(seen, 0)
     if solid is None:
         return None
     T = np.eye(4)
     T[:3, 3] = 0.5 * (solid.vertices.min(0) + solid.vertices.max(0))
-    name = f"seen_{int(seen.key[row]):016x}"
+    name = f"seen_{int(seen.key[0]):016x}"
     model = _with_grasps(name, solid.vertices - T[:3, 3], solid.faces, solid.region, robot)
     return None if model is None else (model, T)
 
@@ -451,7 +484,7 @@ def _hold(
     return {"T": T[0].numpy(), "pose": held["pose"][k], "shape": held["shape"][k]}
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=KEPT_SOLIDS)
 def holds_on(model: ObjectModel, hand: HandModel, side: int) -> dict[str, NDArray[Any]] | None:
     """Hands of one side on an object."""
     try:

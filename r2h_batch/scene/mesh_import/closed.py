@@ -29,6 +29,7 @@ from r2h_batch.scene.mesh_import.limits import (
 )
 from r2h_batch.scene.mesh_import.manifold import (
     connected_bodies,
+    edge_numbers,
     joined,
     part_of,
     simplified,
@@ -169,8 +170,7 @@ def open_edges(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
     A surface without such edges is closed: its winding number is a whole number everywhere. More
     than two faces may meet at an edge.
     """
-    _, edge = np.unique(mesh.edges_sorted, axis=0, return_inverse=True)
-    edge = edge.reshape(-1)
+    edge = edge_numbers(mesh)
     passed = np.bincount(edge, np.where(mesh.edges[:, 0] < mesh.edges[:, 1], 1, -1))
     out = np.zeros(len(mesh.faces), bool)
     out[mesh.edges_face[passed[edge] != 0]] = True
@@ -299,8 +299,8 @@ def _oriented(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
     """The mesh with neighbouring faces wound alike, each patch as most of its area was."""
     import igl
 
-    _, edge, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
-    edge = edge.reshape(-1)
+    edge = edge_numbers(mesh)
+    count = np.bincount(edge)
     passed = np.bincount(edge, np.where(mesh.edges[:, 0] < mesh.edges[:, 1], 1, -1))
     if not ((count == 2) & (passed != 0)).any():
         return mesh
@@ -474,9 +474,9 @@ def _is_polygon(ring: NDArray[np.float64]) -> bool:
 
 def _rims(mesh: trimesh.Trimesh) -> Iterator[NDArray[np.int64]]:
     """Closed rims that touch no other, as vertices that run against the faces they bound."""
-    _, edge, count = np.unique(mesh.edges_sorted, axis=0, return_inverse=True, return_counts=True)
+    edge = edge_numbers(mesh)
     follow: dict[int, list[int]] = {}
-    for a, b in mesh.edges[count[edge.reshape(-1)] == 1].tolist():
+    for a, b in mesh.edges[np.bincount(edge)[edge] == 1].tolist():
         follow.setdefault(b, []).append(a)
     used: set[int] = set()
     for start in sorted(follow):

@@ -22,6 +22,9 @@ WORTH = 0.3
 SHORTEST_M = 2e-3
 """A part this small is not cut, and no part is cut along a direction in which it is half as
 long."""
+SAME = 1e-6
+"""Volumes of hulls that differ by this share or less are compared to their last bits."""
+ABOVE, BELOW = "above", "below"
 NEIGHBOURS = 8
 """Pieces that one may be joined with: the nearest, by the gap between bounding boxes, then between
 middles."""
@@ -76,6 +79,9 @@ class _Part:
         self.volume = float(solid.volume())
         self.hull = float(solid.hull().volume())
         self.excess = max(0.0, self.hull - self.volume)
+        corner = self.points[self.faces]
+        side, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+        self.double_area: F64 = np.cross(side, other)
 
     def halves(self) -> list[_Part]:
         """Parts that the best plane leaves, each connected body a part; fewer than two: nothing to
@@ -84,6 +90,7 @@ class _Part:
         edges = edges[edges[:, 0] < edges[:, 1]]
         least, best, longest = np.inf, (np.zeros(3), 0.0), (np.zeros(3), 0.0)
         length = SHORTEST_M
+        enough, slack = self.hull - WORTH * self.excess, SAME * self.hull
         for n in self._directions():
             along = self.points @ n
             low, extent = float(along.min()), float(np.ptp(along))
@@ -91,9 +98,10 @@ class _Part:
                 length, longest = extent, (n, low + extent / 2)
             if extent <= SHORTEST_M / 2:
                 continue
-            for share in AT:
-                at = low + share * extent
-                if (left := self._both_hulls(along - at, edges, least)) < least:
+            sides = _Sides(self, n, along, [low + share * extent for share in AT])
+            for k, at in enumerate(sides.cuts):
+                left = self._both_hulls(k, sides, edges, min(least, enough) + slack)
+                if left < least:
                     least, best = left, (n, at)
         if not longest[0].any():
             return []
@@ -102,31 +110,89 @@ class _Part:
             _Part(body) for side in self.solid.split_by_plane(n, at) for body in side.decompose()
         ]
 
-    def _both_hulls(self, s: F64, edges: NDArray[np.int64], most: float) -> float:
-        """Volume of the two sides' hulls after a cut at s (n,) = 0: of their corners, and where the
-        plane meets edges.
+    def _both_hulls(self, k: int, sides: _Sides, edges: NDArray[np.int64], most: float) -> float:
+        """Volume of the two sides' hulls after cut k: of their corners, and where the plane meets edges.
 
-        Of the larger one alone where that is `most` already, or more."""
+        Infinite where that is `most` or more, as far as is known before both hulls are made."""
+        if sides.least(k) >= most:
+            return np.inf
+        s = sides.along - sides.cuts[k]
         p, a, b = self.points, s[edges[:, 0]], s[edges[:, 1]]
         cross = (a > 0) != (b > 0)
         t = (a[cross] / (a[cross] - b[cross]))[:, None]
         rim = p[edges[cross, 0]] * (1 - t) + p[edges[cross, 1]] * t
-        above, below = s > 0, s <= 0
-        sides = (above, below) if 2 * np.count_nonzero(above) > len(s) else (below, above)
-        volume = [0.0, 0.0]
-        for k, side in enumerate(sides):
-            if volume[0] < most:
-                volume[k] = Manifold.hull_points(np.concatenate([p[side], rim])).volume()
-        return volume[0] + volume[1]
+        above = s > 0
+        volume = 0.0
+        for side in (ABOVE, BELOW) if 2 * np.count_nonzero(above) > len(s) else (BELOW, ABOVE):
+            corners = p[above if side == ABOVE else ~above]
+            hull = float(Manifold.hull_points(np.concatenate([corners, rim])).volume())
+            volume += hull
+            sides.learn(k, side, hull)
+            if sides.least(k) >= most:
+                return np.inf
+        return volume
 
     def _directions(self) -> F64:
         """(6, 3) unit vectors: the principal directions of the surface, and the axes."""
-        corner = self.points[self.faces]
-        side, other = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
-        area = np.linalg.norm(np.cross(side, other), axis=1)
-        middle = corner.mean(axis=1)
+        area = np.linalg.norm(self.double_area, axis=1)
+        middle = self.points[self.faces].mean(axis=1)
         middle = middle - np.average(middle, axis=0, weights=area + 1e-30)
         return np.concatenate([np.linalg.eigh((middle * area[:, None]).T @ middle)[1].T, np.eye(3)])
+
+
+class _Sides:
+    """Lower bounds of the hulls of a part's two sides, for planes across one direction.
+
+    When a side grows by a slab, its hull grows by the slab's volume or more, because the old hull
+    ends where the slab begins. So the volume between a side and its hull never shrinks as it grows.
+    """
+
+    def __init__(self, part: _Part, n: F64, along: F64, cuts: Sequence[float]) -> None:
+        """Nothing is known of hulls yet.
+
+        Args:
+            part: what is cut.
+            n: (3,) the direction.
+            along: (corners,) heights of its corners along the direction, m.
+            cuts: heights of the planes, in the order of `AT`, m.
+        """
+        self.along, self.cuts, self._volume = along, cuts, part.volume
+        below = _below(part, n, along, np.array(cuts))
+        self._own = {BELOW: below, ABOVE: part.volume - below}
+        self._excess = {BELOW: np.zeros(len(cuts)), ABOVE: np.zeros(len(cuts))}
+        self._share = np.array(AT)
+
+    def learn(self, k: int, side: str, hull: float) -> None:
+        """Take the volume (m^3) of the hull of a side of plane k into the bounds."""
+        larger = self._share >= AT[k] if side == BELOW else self._share <= AT[k]
+        excess = self._excess[side]
+        excess[larger] = np.maximum(excess[larger], hull - self._own[side][k])
+
+    def least(self, k: int) -> float:
+        """Least volume (m^3) that the hulls of both sides of plane k have together."""
+        return float(self._volume + self._excess[BELOW][k] + self._excess[ABOVE][k])
+
+
+def _below(part: _Part, n: F64, along: F64, cuts: F64) -> F64:
+    """Volumes (C,) of the part below planes across a direction n (3,) at heights `cuts` (C,); m^3.
+
+    By the divergence theorem, of n times the depth below the plane: that is 0 on the plane, so each face
+    counts, with its area as n sees it, times the mean depth of what of it lies below.
+    """
+    x, y, z = (along[part.faces[:, k]] for k in range(3))
+    low, high = np.minimum(x, y), np.maximum(x, y)
+    mid = np.maximum(low, np.minimum(high, z))
+    low, high = np.minimum(low, z), np.maximum(high, z)
+    area, mean = part.double_area @ n, (x + y + z) / 3
+    whole = (high[:, None] <= cuts).astype(np.float64)
+    volume = cuts * (area @ whole) - (area * mean) @ whole
+    f, k = np.nonzero((low[:, None] < cuts) & (high[:, None] > cuts))
+    at, low, mid, high = cuts[k], low[f], mid[f], high[f]
+    tip = at <= mid  # a corner lies below, else one lies above
+    end, rise = np.where(tip, at - low, high - at), np.where(tip, mid - low, high - mid)
+    cone = end * end * end / (3 * rise * (high - low))
+    depth = np.where(tip, cone, at - mean[f] + cone)
+    return -(volume + np.bincount(k, area[f] * depth, len(cuts))) / 2
 
 
 def merge_hulls(parts: Sequence[F64], most: int, spare: float = -np.inf) -> list[F64]:

@@ -19,8 +19,8 @@ def connected_bodies(
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
     """(F,) body of each face, faces that share an edge being one; volume and area of each body."""
     count = len(mesh.faces)
-    _, edge = np.unique(mesh.edges_sorted, axis=0, return_inverse=True)
-    ends = mesh.edges_face, count + edge.reshape(-1)
+    edge = edge_numbers(mesh)
+    ends = mesh.edges_face, count + edge
     nodes = count + len(edge)
     graph = coo_matrix((np.ones(len(edge)), ends), (nodes, nodes))
     body = np.unique(connected_components(graph, False)[1][:count], return_inverse=True)[1]
@@ -31,6 +31,14 @@ def connected_bodies(
         np.bincount(body, volume).astype(np.float64),
         np.bincount(body, mesh.area_faces).astype(np.float64),
     )
+
+
+def edge_numbers(mesh: trimesh.Trimesh) -> NDArray[np.int64]:
+    """(3 F,) number of each edge of `mesh.edges`, the same one for both directions, in the order of their corners."""
+    low, high = mesh.edges_sorted.T
+    # one whole number for both: sorting rows takes five times as long
+    _, edge = np.unique(low * np.int64(len(mesh.vertices)) + high, return_inverse=True)
+    return edge.reshape(-1).astype(np.int64)
 
 
 def joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
