@@ -8,7 +8,7 @@ sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 import grasp_cases
 import oracle
 from convex_twin import winding_number
-from judge_twin import Again, Finding
+from judge_twin import Again, AgainBelieved, Finding
 from oracle import MujocoScene, Staged
 from people_twin import episode_of, reception_of
 from pick_twin import PickTwin
@@ -17,7 +17,7 @@ from problems import Batch, Problems, make_batch, solve
 from transfer_twin import Start, held_of, transfer_of
 
 __all__ = [
-    "Again", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged", "Start", "checker_of", "dense",
-    "episode_of", "grasp_cases", "held_of", "let_collide", "make_batch", "motion_samples", "ompl_solve", "oracle",
-    "reception_of", "recheck", "solve", "staged", "transfer_of", "winding_number",
+    "Again", "AgainBelieved", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged", "Start",
+    "checker_of", "dense", "episode_of", "grasp_cases", "held_of", "let_collide", "make_batch", "motion_samples", "ompl_solve",
+    "oracle", "reception_of", "recheck", "solve", "staged", "transfer_of", "winding_number",
 ]  # fmt: skip

@@ -5,6 +5,7 @@ file. How fingers close, what they hold, how the object moves between them, hull
 are this file's own.
 """
 
+import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -18,7 +19,7 @@ import trimesh
 import ur_analytic_ik
 from convex_twin import bodies, convex_distance, core_of, penetration_depth, winding_number
 from numpy.typing import NDArray
-from oracle import MujocoScene, Staged
+from oracle import CLASSES, MujocoScene, Staged
 from scipy.optimize import brentq, least_squares
 from scipy.spatial import ConvexHull
 
@@ -629,3 +630,19 @@ class Again:
                 yield -float(oracle.primitive_distance(kind, size, local).min())
             else:
                 yield deepest_point(kind, size, T, surface)
+
+
+class AgainBelieved(Again):
+    """A row whose arm was planned in a world that somebody believed in. Plan is judged along a stored path, without the robot and
+    the person: Safe judges those. Without a path the believed world says what is missing, and has no twin here.
+    """
+
+    def plan(self) -> float:
+        """The path's smallest clearance of all pairs but robot and person; without a path the row's own margin."""
+        if not len(self.q):
+            return float(self.row["margin_plan_m"])
+        twin = copy.copy(self.seen)
+        keep = twin.pair_class != CLASSES.index("hand")
+        twin.pairs, twin.pair_class = twin.pairs[keep], twin.pair_class[keep]
+        least = self._along(twin, lambda q: twin.least(q, cap=4 * CLEARANCE_CAP_M)[0])
+        return least if least >= 0 else -oracle.deepest_along(twin.model, twin.data, twin.pairs, self.q)
