@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
@@ -48,6 +48,10 @@ SEES = "cell-v1,region=told"
 SEEING = ("robust", "fc", "handover-va", "contact", "intent", "learned", "random")
 RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
+TRACKS: dict[str, tuple[str, ...]] = {
+    "truth": ("--method", *METHODS, "--save-paths"),
+    "seen": ("--sees", SEES, "--method", *SEEING),
+}
 BOUND = """The robust search less the best published rule ({best}), paired by trial: {points:+.1f} points, 95 %
 {low:+.1f} to {high:+.1f} (Tango 1998; asked: at least 15).
 
@@ -58,10 +62,11 @@ FEW = """trials a split of the seeing track: intervals overlap, also that of the
 MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
 alone.
 
-Process seconds of one core a trial in these sweeps: the method, the judge and the start of the program.
-
-{seconds}
+A row of these sweeps took {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing: the method, the
+judge and the start of the program.
 """
+SHARD = 128
+"""Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 5
 """Rows of each method that other code judges again."""
 TIMED = 32
@@ -134,60 +139,71 @@ again, {twice} of them more than once; {never} have no answer. Redraws by catego
 
 def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     """All figures of the page."""
+    from r2h_batch.runs.store import load_run
+
     of = {"trials": options.trials, "seen_trials": options.seen_trials, "source": digests(MEASURES)}
     with tempfile.TemporaryDirectory() as folder:
         # rows of other code or of other trials lie in another folder
         name = hashlib.sha256(json.dumps(of).encode()).hexdigest()[:12]
         home = (options.parts or Path(folder)).absolute() / name
-        parts = Parts(home, of)
-        asked = {f"seen {m}": partial(_seen, m, home, options.seen_trials) for m in SEEING}
-        asked |= {f"truth {m}": partial(_told, m, home, options.trials) for m in METHODS}
+        home.mkdir(parents=True, exist_ok=True)
         context = multiprocessing.get_context("spawn")
+        spent = dict.fromkeys(TRACKS, 0.0)
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            waiting = {k: pool.submit(parts.get, k, part) for k, part in asked.items()}
-            found = {k: f.result() for k, f in waiting.items()}
-        ms = parts.get("cost", partial(_cost, home))  # alone on the machine
+            waiting = []
+            for track, trials in (("seen", options.seen_trials), ("truth", options.trials)):
+                shards = -(-2 * trials // SHARD)
+                waiting += [(track, pool.submit(_swept, home, track, trials, k, shards)) for k in range(shards)]
+            for track, piece in waiting:
+                spent[track] += piece.result()
+        runs = {track: load_run(home / track) for track in TRACKS}
+        parts = Parts(home, of)
+        titles = dict(zip(SEEING, runs["seen"].methods, strict=True))
+        return {
+            "trials": options.trials,
+            "methods": {name: _about(runs["truth"], name) for name in runs["truth"].methods},
+            "checked": parts.get("checked", partial(_checked, runs["truth"])),
+            "ms": parts.get("cost", partial(_cost, runs["truth"])),  # alone on the machine
+            "seen_trials": options.seen_trials,
+            "seen": {name: _about(runs["seen"], name) for name in runs["seen"].methods},
+            "robust": titles["robust"],
+            "rules": [titles[m] for m in RULES],
+            "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
+            **made_by(MEASURES),
+        }
+
+
+def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
+    """One shard of a track's trials, all methods; the process seconds that it took, which are kept."""
+    kept = home / f"{track}-{k}.seconds"
+    before = float(kept.read_text()) if kept.exists() else 0.0
+    begin = time.process_time()
+    piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
+    more = ("--trials", trials, "--sim", "none", "--threads", 1, "--quiet", *piece)
+    swept(home / track, "--benchmark", "r2h-v3-draft", *TRACKS[track], *more)
+    spent = before + time.process_time() - begin
+    kept.write_text(repr(spent))
+    print(f"{track}, shard {k + 1} of {shards}: {spent:.0f} CPU s", flush=True)
+    return spent
+
+
+def _about(run: Any, name: str) -> dict[str, Any]:
+    """The outcomes of a method, and why it fails."""
+    rows = sorted(run.trials(name).to_pylist(), key=lambda r: r["trial_id"])
     return {
-        "trials": options.trials,
-        "methods": {k: v for m in METHODS for k, v in [found[f"truth {m}"]["row"]]},
-        "checked": [c for m in METHODS for c in found[f"truth {m}"]["checked"]],
-        "ms": ms,
-        "seen_trials": options.seen_trials,
-        "seen": {k: v for m in SEEING for k, v in [found[f"seen {m}"]]},
-        "rules": [found[f"seen {m}"][0] for m in RULES],
-        **made_by(MEASURES),
+        "n": len(rows),
+        "won": "".join(str(int(r["outcome"] == "success")) for r in rows),
+        "outcomes": dict(Counter(r["outcome"] for r in rows)),
+        "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
+        "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
+        "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
+        "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
+        "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
     }
 
 
-def _swept(home: Path, name: str, words: tuple[object, ...]) -> tuple[Any, float]:
-    """A run of one method, begun or gone on with, and the process seconds that it took a trial. They are kept beside it."""
-    from r2h_batch.runs.store import load_run
-
-    begin = time.process_time()
-    more = ("--sim", "none", "--threads", 1, "--quiet")
-    run = load_run(swept(home / "runs" / name, "--benchmark", "r2h-v3-draft", *words, *more))
-    spent = home / "runs" / f"{name}.seconds"
-    total = time.process_time() - begin + (float(spent.read_text()) if spent.exists() else 0.0)
-    spent.write_text(repr(total))
-    return run, total / run.trials(run.methods[0]).num_rows
-
-
-def _seen(method: str, home: Path, trials: int) -> tuple[str, dict[str, Any]]:
-    """Title and outcomes of a method that sees."""
-    run, seconds = _swept(home, f"seen {method}", ("--sees", SEES, "--method", method, "--trials", trials))
-    (title,) = run.methods
-    rows = run.trials(title).to_pylist()
-    print(title, Counter(r["outcome"] for r in rows), flush=True)
-    return title, {"outcomes": dict(Counter(r["outcome"] for r in rows)), "won": _won(rows), "cpu_s": seconds}
-
-
-def _won(rows: list[dict[str, Any]]) -> str:
-    """A digit for each trial, by their ids: 1 where it succeeds."""
-    return "".join(str(int(r["outcome"] == "success")) for r in sorted(rows, key=lambda r: r["trial_id"]))
-
-
-def _told(method: str, home: Path, trials: int) -> dict[str, Any]:
-    """Title and outcomes of a method that is told the truth, and what other code says of some of its rows."""
+def _checked(run: Any) -> list[dict[str, Any]]:
+    """Some rows of each method, and the verdict of other code on them."""
     from dataclasses import fields
 
     from _twins import Again, PickTwin, reception_of
@@ -197,60 +213,47 @@ def _told(method: str, home: Path, trials: int) -> dict[str, Any]:
     from r2h_batch.observe import moments
     from r2h_batch.sweep.results.reevaluation import Judge
 
-    run, seconds = _swept(home, f"truth {method}", ("--method", method, "--trials", trials, "--save-paths"))
     judge = Judge(run)
     scene = judge.evaluator.scene
-    (name,) = run.methods
-    rows = run.trials(name).to_pylist()
-    about = {
-        "n": len(rows),
-        "outcomes": dict(Counter(r["outcome"] for r in rows)),
-        "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
-        "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
-        "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
-        "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
-        "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
-        "cpu_s": seconds,
-    }
     checked: list[dict[str, Any]] = []
-    columns = rows_of(run, name)
-    ids = list(columns)[:: len(columns) // CHECKED][:CHECKED]
-    own_trials = judge.trials(ids)
-    grasp, pose = poses_of([columns[i] for i in ids])
-    rest = moments(scene, own_trials)
-    found = picked(scene, grasp, rest, own_trials)
-    scores = judge.evaluator.score(grasp, pose, own_trials)
-    people = reception(scores)
-    for k, i in enumerate(ids):
-        row = columns[i]
-        own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
-        says = PickTwin(scene, own_trials[k : k + 1], grasp[k], rest[k], own).wrong()
-        if row["passed_pick"] != bool(own.picked):
-            says = f"{says} stored otherwise"
-        twin = Again(
-            scene, judge.evaluator.config, own_trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
-            T_world_rest=rest[k],
-        )  # fmt: skip
-        others = [f.name for f in twin.findings() if not f.holds]
-        if row["passed_received"] is not None:
-            others += [f.name for f in reception_of(twin, people, k) if not f.holds]
-            if bool(people.received[k]) != row["passed_received"]:
-                others.append("received is stored otherwise")
-        checked.append(
-            {
-                "method": name,
-                "trial": i,
-                "picked": bool(own.picked),
-                "carried": bool(row.get("q")),
-                "received": bool(row["passed_received"]),
-                "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
-            }
-        )
-    print(name, about, flush=True)
-    return {"row": (name, about), "checked": checked}
+    for name in run.methods:
+        columns = rows_of(run, name)
+        ids = list(columns)[:: max(len(columns) // CHECKED, 1)][:CHECKED]
+        trials = judge.trials(ids)
+        grasp, pose = poses_of([columns[i] for i in ids])
+        rest = moments(scene, trials)
+        found = picked(scene, grasp, rest, trials)
+        scores = judge.evaluator.score(grasp, pose, trials)
+        people = reception(scores)
+        for k, i in enumerate(ids):
+            row = columns[i]
+            own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
+            says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
+            if row["passed_pick"] != bool(own.picked):
+                says = f"{says} stored otherwise"
+            twin = Again(
+                scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
+                T_world_rest=rest[k],
+            )  # fmt: skip
+            others = [f.name for f in twin.findings() if not f.holds]
+            if row["passed_received"] is not None:
+                others += [f.name for f in reception_of(twin, people, k) if not f.holds]
+                if bool(people.received[k]) != row["passed_received"]:
+                    others.append("received is stored otherwise")
+            checked.append(
+                {
+                    "method": name,
+                    "trial": i,
+                    "picked": bool(own.picked),
+                    "carried": bool(row.get("q")),
+                    "received": bool(row["passed_received"]),
+                    "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
+                }
+            )
+    return checked
 
 
-TIMES = {
+TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "none": ((), "all"),
     "present": (("pick",), "all"),
     "received": (("pick", "received"), "all"),
@@ -258,11 +261,11 @@ TIMES = {
     "pose_none": ((), "pose"),
     "pose": (("pick",), "pose"),
 }
-"""What is timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
+"""Calls that are timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
 ROUNDS = 3
 
 
-def _cost(home: Path) -> dict[str, float]:
+def _cost(run: Any) -> dict[str, float]:
     """Process milliseconds of a row (median of some rounds), of `TIMES` and of drawing its moment."""
     from dataclasses import replace
 
@@ -270,12 +273,10 @@ def _cost(home: Path) -> dict[str, float]:
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.observe import moments
     from r2h_batch.protocols.registry import named_benchmark
-    from r2h_batch.runs.store import load_run
 
     rows: list[dict[str, Any]] = []
-    for method in METHODS:
-        run = load_run(home / "runs" / f"truth {method}")
-        columns = rows_of(run, run.methods[0])
+    for name in run.methods:
+        columns = rows_of(run, name)
         rows += [columns[i] for i in sorted(columns)[:TIMED]]
     grasp, pose = poses_of(rows)
     ids = torch.tensor([r["trial_id"] for r in rows])
@@ -369,17 +370,11 @@ def markdown(data: Any) -> str:
     bound, few, more_cost = "", f"More than {data['seen_trials']} {FEW}", ""
     if "rules" in data:  # runs before these figures lack them
         bound, few = _bound_of(data, sighted)
-        of = (methods, data["seen"])
-        seconds = [
-            [(short | sighted)[k], *(f"{m[k]['cpu_s']:.2f}" if k in m else "" for m in of)]
-            for k in methods | data["seen"]
-        ]
         cost += [
             ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
             ["the pose stage with Pick", f"{ms['pose']:.3f}"],
         ]
-        table = markdown_table(["", "told the truth", "seeing"], seconds)
-        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], seconds=table)
+        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
         [short[k], of, *(f"{100 * m['reasons'].get(r, 0) / of:.1f}" for r in reasons)]
@@ -445,7 +440,7 @@ def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, s
 
     seen = data["seen"]
     best = max(data["rules"], key=lambda k: seen[k]["won"].count("1"))
-    (robust,) = (k for k, title in short.items() if title == "Robust search")
+    robust = data["robust"]
     pairs = Counter(zip(seen[best]["won"], seen[robust]["won"], strict=True))
     more, less, n = pairs["0", "1"], pairs["1", "0"], len(seen[best]["won"])
     low, high = (100 * x for x in paired_score_interval(more, less, n))

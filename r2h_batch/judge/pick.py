@@ -788,8 +788,8 @@ class FingersWay(NamedTuple):
 
 @lru_cache(maxsize=4)
 def fingers_way(scene: Scene) -> FingersWay:
-    """Of a scene's gripper: from one opening to the next no point goes farther than its primitive's middle and its radius times
-    the turn."""
+    """The way of a scene's fingers: from one opening to the next no point goes farther than its middle does and its radius
+    times the turn."""
     step = scene.robot.open_gap_m / CELLS
     opening = step * torch.arange(CELLS + 1, dtype=torch.float32, device=scene.device)
     R, p = (x.double() for x in gripper_poses(scene.robot, opening))
