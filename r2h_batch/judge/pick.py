@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.judge.goal import failed_clearance
@@ -110,7 +110,7 @@ def picked(
     check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
     check_indices(scene, trials)
     one_thread = one_torch_thread(torch.device(scene.device))
-    with one_thread, progress("picked", len(trials), "trials") as told:
+    with one_thread, busy("picks"), progress("picked", len(trials), "trials") as told:
         return judge_picks(scene, T_obj_ee, T_world_obj, trials, told=told)
 
 
