@@ -116,7 +116,8 @@ In S0 there is no region, and the answers are the same.
 
 
 SHARD = 128
-"""Trials that a process takes through all sights before it takes the next ones: their solids stay (`believed.KEPT_SOLIDS`)."""
+"""Trials that a process takes through all sights before it takes the next ones: their solids stay
+(`believed_object.KEPT_SOLIDS`)."""
 COSTS = ("the truth", HIDDEN, "one post", "two posts, model known, pose as `lab`")
 """Sights whose cost is measured; the others cost what two posts do."""
 FEW, MORE = 2, 12
@@ -235,11 +236,13 @@ def _costs(words: str) -> dict[str, float]:
 def _forget() -> None:
     """No believed object comes from memory."""
     from r2h_batch.methods import believed
+    from r2h_batch.observe import believed_object
 
-    believed.SOLIDS.clear()
+    believed_object.SOLIDS.clear()
+    believed_object.known_mesh.cache_clear()
     believed.CONTACTS.clear()
-    believed.holds_on.cache_clear()
-    believed._known.cache_clear()
+    for kept in (believed.holds_on, believed.with_grasps):
+        kept.cache_clear()
 
 
 def markdown(data: Mapping[str, Any]) -> str:

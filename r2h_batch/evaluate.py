@@ -21,6 +21,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 import copy
 import time
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,6 +31,7 @@ from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.launch.memory import in_chunks
 from r2h_batch.base.validate import instance_of, suggest_names
 from r2h_batch.config import EvalConfig
@@ -155,7 +157,7 @@ class Evaluator(Prepared):
         if first:
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
-        with self.working():
+        with busy("judging") if first else nullcontext(), self.working():
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
@@ -384,7 +386,7 @@ class Evaluator(Prepared):
                 world.scene, grasps, held.T_world_ee[rows], world.trials, self.config
             )
             own = judge_picks(world.scene, grasps, rest, world.trials)
-            plan, missed, seconds = self._in(world.scene)._plan(seen, world.trials, own)
+            plan, missed, seconds = self.in_scene(world.scene)._plan(seen, world.trials, own)
             put(picked, rows, own)
             put(planned, rows, plan)
             missed_m[rows], t_plan_s = missed, seconds * len(rows) / b
@@ -393,8 +395,12 @@ class Evaluator(Prepared):
         met = planned.reason == int(PlanReason.MOTION_IN_COLLISION)
         return picked, planned, torch.where(met, planned.clearance_m, missed_m), t_plan_s
 
-    def _in(self, scene: Scene) -> "Evaluator":
-        """The same evaluator in another scene, which knows all of it."""
+    def in_scene(self, scene: Scene) -> "Evaluator":
+        """The same evaluator in another scene, where planning knows the truth.
+
+        Args:
+            scene: its benchmark has the same limits and criteria.
+        """
         twin = copy.copy(self)
         twin.scene, twin.plans_in = scene, None
         return twin

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.judge.goal import failed_clearance
@@ -32,7 +32,7 @@ from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight
 from r2h_batch.kernels.judge.rows import usable_rows
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.resting import among, with_resting, without
+from r2h_batch.scene.resting import FAR_M, among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 from r2h_batch.verdicts import PickReason
@@ -113,7 +113,7 @@ def picked(
     check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
     check_indices(scene, trials)
     one_thread = one_torch_thread(torch.device(scene.device))
-    with one_thread, progress("picked", len(trials), "trials") as told:
+    with one_thread, busy("picks"), progress("picked", len(trials), "trials") as told:
         return judge_picks(scene, T_obj_ee, T_world_obj, trials, told=told)
 
 
@@ -806,3 +806,33 @@ def gripper_radii(scene: Scene) -> Tensor:
     axis, radius = (getattr(scene.world, k).numpy()[first:] for k in ("cap_axis", "cap_radius"))
     far = np.sqrt((axis * axis).sum(1)) + radius
     return torch.from_numpy(far.astype(np.float64)).to(scene.device)
+
+
+def closing_room(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    T_world_obj: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    q: Float32[Tensor, "b j"],
+) -> Float32[Tensor, " b"]:
+    """The stage `closing_collides` alone, with nobody about: what the closing fingers keep from the table at postures, less
+    where closing pushes the object into it (m); above 0 passes.
+
+    Args:
+        scene: robot, objects and table.
+        T_obj_ee: (B, 4, 4) where the gripper closes, the ee in the object's frame, m.
+        T_world_obj: (B, 4, 4) where the objects rest, m.
+        object_index: (B,) which objects.
+        q: (B, J) postures at which it closes, rad.
+    """
+    nobody = torch.eye(4, dtype=torch.float32, device=q.device).repeat(len(q), 1, 1)
+    nobody[:, 0, 3] = FAR_M
+    number = torch.arange(len(q), dtype=torch.int64, device=q.device)
+    trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
+    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials, paths=False)
+    limits = scene.config.thresholds
+    grasp = close_gripper(
+        scene.grasp_tables, batch.T_obj_ee.contiguous(), batch.objects, w_max=limits.w_max_m,
+        w_min=limits.w_min_m, mode=scene.config.width, known=True,
+    )  # fmt: skip
+    return batch._closing(grasp, q, batch.active).clearance_m

@@ -77,8 +77,12 @@ def predict(
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
+    bare = evaluator
+    if evaluator.scene.hand_room_m:  # it is for errors that are not drawn
+        bare = evaluator.in_scene(Scene(scene.benchmark, scene.device, config=scene.config))
     if T_world_obj is not None:
-        known_moments(evaluator.scene).tell(trials, T_world_obj.to(scene.device))
+        for judge in (evaluator, bare):
+            known_moments(judge.scene).tell(trials, T_world_obj.to(scene.device))
     fan = Fan(trials, evaluator, seed)
     best = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
     T_obj_ee, T_world_ee = (
@@ -93,7 +97,7 @@ def predict(
         value, solved = how_far(scores), torch.nonzero(scores.success)[:, 0]
         if len(solved):
             held = holding(
-                evaluator, trials[todo[solved]], grasp[solved], pose[solved], sizes, draws, seed
+                bare, trials[todo[solved]], grasp[solved], pose[solved], sizes, draws, seed
             )
             # beyond every failure
             value[solved] += held.double()

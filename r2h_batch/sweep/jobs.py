@@ -138,7 +138,8 @@ def set_up(request: Request) -> Setting:
     plan = request.trials.plan(benchmark)
     config = benchmark.config(request.configuration)
     sees = request.methods.sees and request.methods.sees.on(benchmark)
-    setting = prepare(benchmark, plan, config, request.work, request.loop, sees)
+    loop = None if request.loop is None else request.loop.on(benchmark)
+    setting = prepare(benchmark, plan, config, request.work, loop, sees)
     setting.header.update(
         benchmark={"flags": request.trials.benchmark.flags()},
         seed=request.methods.seed,

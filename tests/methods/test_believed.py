@@ -14,16 +14,19 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
+from r2h_batch.config import EvalConfig
 from r2h_batch.methods import believed, contact, fc, handover_va, random, robust
 from r2h_batch.methods.believed import AskedHere
 from r2h_batch.methods.predictors import predict_contacts, predict_parts
+from r2h_batch.observe import believed_object
+from r2h_batch.observe.believed_world import ROOM_M
 from r2h_batch.observe.seeing import look
 from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.sees import Sees
 from r2h_batch.observe.solid import _in_hull, completed, levelled
 from r2h_batch.scene.objects import build_object
 from r2h_batch.sweep.seeing import Looks, SeeingMethod
-from r2h_batch.types import Trials
+from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA
 
 
@@ -40,9 +43,10 @@ def solid(row, noise=0.0):
 
 def forget():
     """No answer comes from memory."""
-    believed.SOLIDS.clear()
+    believed_object.SOLIDS.clear()
     believed.CONTACTS.clear()
     believed.holds_on.cache_clear()
+    believed.with_grasps.cache_clear()
 
 
 def asked(method, benchmark=None, *, shown=("receiving", "target"), **options):
@@ -291,7 +295,7 @@ def test_a_kept_solid_is_that_of_the_trials_own_images():
     forget()
     first, _ = believed._object(seen, 0, robot)
     after, _ = believed._object(other, 0, robot)
-    assert after.name == alone.name != first.name and len(believed.SOLIDS) == 2
+    assert after.name == alone.name != first.name and len(believed_object.SOLIDS) == 2
 
 
 def test_a_told_region_makes_another_solid_only_where_it_is():
@@ -344,7 +348,7 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     def alive():
         return sum(type(x) is trimesh.Trimesh for x in gc.get_objects())
 
-    monkeypatch.setattr(believed, "GARBAGE_AFTER", 1)
+    monkeypatch.setattr(believed_object, "GARBAGE_AFTER", 1)
     forget()
     gc.collect()
     before = alive()
@@ -354,6 +358,19 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
         after = alive()
     finally:
         gc.enable()
-    assert len(believed.SOLIDS) == 3
+    assert len(believed_object.SOLIDS) == 3
     # the last one was in hand when it was looked for
     assert after <= before + 1, (before, after)
+
+
+def test_methods_keep_the_room_that_planning_keeps_where_a_trial_begins_on_the_table():
+    for name, room in each((("r2h-v2", 0.0), ("r2h-v3-draft", ROOM_M))):
+        benchmark = load_benchmark(name)
+        given = []
+
+        def asks(trials, scene, *, evaluator, given=given):
+            given.append((scene.hand_room_m, evaluator.scene.hand_room_m, evaluator.scene is scene))
+            return Predictions(trials.trial_id, *(torch.eye(4).repeat(len(trials), 1, 1) for _ in range(2)))
+
+        AskedHere(asks, (), {}, benchmark, EvalConfig(), noise=1.0).ask(view()[:1])
+        assert given == [(room, room, True)]
