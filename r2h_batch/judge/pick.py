@@ -829,7 +829,7 @@ def closing_room(
     nobody[:, 0, 3] = FAR_M
     number = torch.arange(len(q), dtype=torch.int64, device=q.device)
     trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
-    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials, paths=False)
+    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials)
     limits = scene.config.thresholds
     grasp = close_gripper(
         scene.grasp_tables, batch.T_obj_ee.contiguous(), batch.objects, w_max=limits.w_max_m,
