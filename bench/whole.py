@@ -6,6 +6,7 @@ done, and started again it goes on with what is missing. `--render` writes the p
 """
 
 import argparse
+import concurrent.futures
 import hashlib
 import json
 import multiprocessing
@@ -48,20 +49,35 @@ SEES = "cell-v1,region=told"
 SEEING = ("robust", "fc", "handover-va", "contact", "intent", "learned", "random")
 RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
+TRACKS: dict[str, tuple[str, ...]] = {
+    "truth": ("--method", *METHODS, "--save-paths"),
+    "seen": ("--sees", SEES, "--method", *SEEING),
+}
 BOUND = """The robust search less the best published rule ({best}), paired by trial: {points:+.1f} points, 95 %
 {low:+.1f} to {high:+.1f} (Tango 1998; asked: at least 15).
 
 """
 LEAST_POINTS = 15
+BELIEVED = """Why Pick and Plan fail, trials. Path collides and motion in collision: it was free as planned, and met something in truth.
+
+{causes}
+
+Planning grows the person that it believes in by 10 mm. Outcomes of Learned with other rooms, {n} trials, until the object is
+presented:
+
+{rooms}
+
+"""
 FEW = """trials a split of the seeing track: intervals overlap, also that of the robust search and the others'.
 - """
 MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
 alone.
 
-Process seconds of one core a trial in these sweeps: the method, the judge and the start of the program.
-
-{seconds}
+A row of these sweeps took {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing: the method, the
+judge and the start of the program.
 """
+SHARD = 128
+"""Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 8
 """Rows of each method that other code judges again."""
 TIMED = 32
@@ -101,17 +117,7 @@ under 16 drawn errors of what it saw. It knows neither the person's arm and tors
 
 {seen}
 
-{bound}Why Pick and Plan fail, trials of both splits. What collides on the path, and motions in collision, were free as
-planned, and met something in truth.
-
-{seen_causes}
-
-Planning grows the person that it believes in by 10 mm. Outcomes of Learned with other rooms, {rooms_n} trials, until the
-object is presented:
-
-{rooms}
-
-## Cost
+{bound}{believed}## Cost
 
 Process milliseconds of one core a row, {timed} rows{at_once}, moments known (drawing one takes {moment:.1f}):
 
@@ -143,114 +149,76 @@ again, {twice} of them more than once; {never} have no answer. Redraws by catego
 
 def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     """All figures of the page."""
+    from r2h_batch.runs.store import load_run
+
     of = {"trials": options.trials, "seen_trials": options.seen_trials, "source": digests(MEASURES)}
     with tempfile.TemporaryDirectory() as folder:
         # rows of other code or of other trials lie in another folder
         name = hashlib.sha256(json.dumps(of).encode()).hexdigest()[:12]
         home = (options.parts or Path(folder)).absolute() / name
-        parts = Parts(home, of)
-        asked: dict[str, Any] = {f"seen {m}": partial(_seen, m, home, options.seen_trials) for m in SEEING}
-        asked |= {f"truth {m}": partial(_told, m, home, options.trials) for m in METHODS}
-        context = multiprocessing.get_context("spawn")
+        home.mkdir(parents=True, exist_ok=True)
+        context, parts = multiprocessing.get_context("spawn"), Parts(home, of)
+        spent = dict.fromkeys(TRACKS, 0.0)
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-            waiting = {k: pool.submit(parts.get, k, part) for k, part in asked.items()}
-            rooms = pool.submit(parts.get, "rooms", partial(_rooms, home, options.seen_trials))
-            found = {k: f.result() for k, f in waiting.items()}
-        ms = parts.get("cost", partial(_cost, home))  # alone on the machine
-    return {
-        "trials": options.trials,
-        "methods": {k: v for m in METHODS for k, v in [found[f"truth {m}"]["row"]]},
-        "checked": [c for part in found.values() for c in part["checked"]],
-        "ms": ms,
-        "seen_trials": options.seen_trials,
-        "seen": {k: v for m in SEEING for k, v in [found[f"seen {m}"]["row"]]},
-        "rules": [found[f"seen {m}"]["row"][0] for m in RULES],
-        "rooms": rooms.result(),
-        "room_trials": min(options.seen_trials, ROOM_TRIALS),
-        **made_by(MEASURES),
-    }
+            waiting = []
+            for track, trials in (("seen", options.seen_trials), ("truth", options.trials)):
+                shards = -(-2 * trials // SHARD)
+                waiting += [(track, pool.submit(_swept, home, track, trials, k, shards)) for k in range(shards)]
+            rooms = {mm: pool.submit(parts.get, f"room {mm}", partial(_room, home, mm)) for mm in ROOMS_MM}
+            for track, piece in waiting:
+                spent[track] += piece.result()
+            checked = {t: pool.submit(parts.get, f"checked {t}", partial(_checked, home / t)) for t in TRACKS}
+            concurrent.futures.wait([*rooms.values(), *checked.values()])
+        runs = {track: load_run(home / track) for track in TRACKS}
+        titles = dict(zip(SEEING, runs["seen"].methods, strict=True))
+        return {
+            "trials": options.trials,
+            "methods": {name: _about(runs["truth"], name) for name in runs["truth"].methods},
+            "checked": [c for t in TRACKS for c in checked[t].result()],
+            "rooms": {str(mm): x.result() for mm, x in rooms.items()},
+            "room_trials": ROOM_TRIALS,
+            "ms": parts.get("cost", partial(_cost, runs["truth"])),  # alone on the machine
+            "seen_trials": options.seen_trials,
+            "seen": {name: _about(runs["seen"], name) for name in runs["seen"].methods},
+            "robust": titles["robust"],
+            "rules": [titles[m] for m in RULES],
+            "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
+            **made_by(MEASURES),
+        }
 
 
-def _swept(home: Path, name: str, words: tuple[object, ...]) -> tuple[Any, float]:
-    """A run of one method, begun or gone on with, and the process seconds that it took a trial. They are kept beside it."""
-    from r2h_batch.runs.store import load_run
-
+def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
+    """One shard of a track's trials, all methods; the process seconds that it took, which are kept."""
+    kept = home / f"{track}-{k}.seconds"
+    before = float(kept.read_text()) if kept.exists() else 0.0
     begin = time.process_time()
-    more = ("--sim", "none", "--threads", 1, "--quiet")
-    run = load_run(swept(home / "runs" / name, "--benchmark", "r2h-v3-draft", *words, *more))
-    spent = home / "runs" / f"{name}.seconds"
-    total = time.process_time() - begin + (float(spent.read_text()) if spent.exists() else 0.0)
-    spent.write_text(repr(total))
-    return run, total / run.trials(run.methods[0]).num_rows
+    piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
+    more = ("--trials", trials, "--sim", "none", "--threads", 1, "--quiet", *piece)
+    swept(home / track, "--benchmark", "r2h-v3-draft", *TRACKS[track], *more)
+    spent = before + time.process_time() - begin
+    kept.write_text(repr(spent))
+    print(f"{track}, shard {k + 1} of {shards}: {spent:.0f} CPU s", flush=True)
+    return spent
 
 
-def _seen(method: str, home: Path, trials: int) -> dict[str, Any]:
-    """Title and outcomes of a method that sees, and what other code says of some of its rows."""
-    from r2h_batch.sweep.results.reevaluation import Judge
-
-    asked = ("--sees", SEES, "--method", method, "--trials", trials, "--save-paths")
-    run, seconds = _swept(home, f"seen {method}", asked)
-    (title,) = run.methods
-    rows = run.trials(title).to_pylist()
-    about = {
+def _about(run: Any, name: str) -> dict[str, Any]:
+    """The outcomes of a method, and why it fails."""
+    rows = sorted(run.trials(name).to_pylist(), key=lambda r: r["trial_id"])
+    return {
+        "n": len(rows),
+        "won": "".join(str(int(r["outcome"] == "success")) for r in rows),
         "outcomes": dict(Counter(r["outcome"] for r in rows)),
         "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
         "plans": dict(Counter(r["plan_reason"] for r in rows if r["outcome"] == "plan")),
-        "won": _won(rows),
-        "cpu_s": seconds,
-    }
-    print(title, about, flush=True)
-    return {"row": (title, about), "checked": _judged_again(run, title, Judge(run))}
-
-
-ROOMS_M = (0.0, 0.01, 0.02)
-ROOM_TRIALS = 50
-
-
-def _rooms(home: Path, trials: int) -> dict[str, dict[str, int]]:
-    """Room in mm -> outcomes of Learned until it presents, with another room about the person that planning believes in."""
-    from unittest import mock
-
-    from r2h_batch.observe import believed_world
-
-    found = {}
-    for room in ROOMS_M:
-        words = ("--sees", SEES, "--method", "learned", "--trials", min(trials, ROOM_TRIALS), "--until", "present")
-        with mock.patch.object(believed_world, "ROOM_M", room):
-            run, _ = _swept(home, f"room {round(1e3 * room)}", words)
-        found[str(round(1e3 * room))] = dict(Counter(run.trials(run.methods[0])["outcome"].to_pylist()))
-    return found
-
-
-def _won(rows: list[dict[str, Any]]) -> str:
-    """A digit for each trial, by their ids: 1 where it succeeds."""
-    return "".join(str(int(r["outcome"] == "success")) for r in sorted(rows, key=lambda r: r["trial_id"]))
-
-
-def _told(method: str, home: Path, trials: int) -> dict[str, Any]:
-    """Title and outcomes of a method that is told the truth, and what other code says of some of its rows."""
-    from r2h_batch.sweep.results.reevaluation import Judge
-
-    run, seconds = _swept(home, f"truth {method}", ("--method", method, "--trials", trials, "--save-paths"))
-    judge = Judge(run)
-    (name,) = run.methods
-    rows = run.trials(name).to_pylist()
-    about = {
-        "n": len(rows),
-        "outcomes": dict(Counter(r["outcome"] for r in rows)),
-        "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
         "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
         "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
         "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
         "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
-        "cpu_s": seconds,
     }
-    print(name, about, flush=True)
-    return {"row": (name, about), "checked": _judged_again(run, name, judge)}
 
 
-def _judged_again(run: Any, name: str, judge: Any) -> list[dict[str, Any]]:
-    """What other code says of `CHECKED` rows: nothing, or what is wrong."""
+def _checked(folder: Path) -> list[dict[str, Any]]:
+    """Some rows of each method, and the verdict of other code on them."""
     from dataclasses import fields
 
     from _twins import Again, AgainBelieved, PickTwin, reception_of
@@ -258,48 +226,71 @@ def _judged_again(run: Any, name: str, judge: Any) -> list[dict[str, Any]]:
     from r2h_batch.judge.pick import Picked
     from r2h_batch.judge.reception import reception
     from r2h_batch.observe import moments
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.sweep.results.reevaluation import Judge
 
+    run = load_run(folder)
+    judge = Judge(run)
     scene, believes = judge.evaluator.scene, judge.evaluator.plans_in is not None
-    columns = rows_of(run, name)
-    ids = list(columns)[:: max(len(columns) // CHECKED, 1)][:CHECKED]
-    trials = judge.trials(ids)
-    grasp, pose = poses_of([columns[i] for i in ids])
-    rest = moments(scene, trials)
-    found = judge.evaluator.picks(grasp, pose, trials)
-    people = reception(judge.evaluator.score(grasp, pose, trials))
+    kind = AgainBelieved if believes else Again
     checked: list[dict[str, Any]] = []
-    for k, i in enumerate(ids):
-        row = columns[i]
-        own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
-        says = ""
-        if not believes or int(own.length[0]):  # where the believed world has no pick, the arm does not move
-            says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
-        if row["passed_pick"] != bool(own.picked):
-            says = f"{says} stored otherwise"
-        kind = AgainBelieved if believes else Again
-        twin = kind(
-            scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
-            T_world_rest=rest[k],
-        )  # fmt: skip
-        others = [f.name for f in twin.findings() if not f.holds]
-        if row["passed_received"] is not None:
-            others += [f.name for f in reception_of(twin, people, k) if not f.holds]
-            if bool(people.received[k]) != row["passed_received"]:
-                others.append("received is stored otherwise")
-        checked.append(
-            {
-                "method": name,
-                "trial": i,
-                "picked": bool(own.picked),
-                "carried": bool(row.get("q")),
-                "received": bool(row["passed_received"]),
-                "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
-            }
-        )
+    for name in run.methods:
+        columns = rows_of(run, name)
+        ids = list(columns)[:: max(len(columns) // CHECKED, 1)][:CHECKED]
+        trials = judge.trials(ids)
+        grasp, pose = poses_of([columns[i] for i in ids])
+        rest = moments(scene, trials)
+        found = judge.evaluator.picks(grasp, pose, trials)
+        people = reception(judge.evaluator.score(grasp, pose, trials))
+        for k, i in enumerate(ids):
+            row = columns[i]
+            own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
+            says = ""
+            if not believes or int(own.length[0]):  # without a pick in the believed world the arm does not move
+                says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
+            if row["passed_pick"] != bool(own.picked):
+                says = f"{says} stored otherwise"
+            twin = kind(
+                scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
+                T_world_rest=rest[k],
+            )  # fmt: skip
+            others = [f.name for f in twin.findings() if not f.holds]
+            if row["passed_received"] is not None:
+                others += [f.name for f in reception_of(twin, people, k) if not f.holds]
+                if bool(people.received[k]) != row["passed_received"]:
+                    others.append("received is stored otherwise")
+            checked.append(
+                {
+                    "method": name,
+                    "trial": i,
+                    "picked": bool(own.picked),
+                    "carried": bool(row.get("q")),
+                    "received": bool(row["passed_received"]),
+                    "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
+                }
+            )
     return checked
 
 
-TIMES: dict[str, tuple[tuple[str, ...], Literal["all", "pose"]]] = {
+ROOMS_MM = (0, 10, 20)
+ROOM_TRIALS = 40
+
+
+def _room(home: Path, mm: int) -> dict[str, int]:
+    """Outcomes of Learned until it presents, where planning keeps another room from the person that it believes in."""
+    from unittest import mock
+
+    from r2h_batch.observe import believed_world
+    from r2h_batch.runs.store import load_run
+
+    words = ("--sees", SEES, "--method", "learned", "--trials", ROOM_TRIALS, "--until", "present", "--sim", "none")
+    with mock.patch.object(believed_world, "ROOM_M", 1e-3 * mm):
+        folder = swept(home / f"room-{mm}", "--benchmark", "r2h-v3-draft", *words, "--threads", 1, "--quiet")
+    run = load_run(folder)
+    return dict(Counter(run.trials(run.methods[0])["outcome"].to_pylist()))
+
+
+TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "none": ((), "all"),
     "present": (("pick",), "all"),
     "received": (("pick", "received"), "all"),
@@ -307,11 +298,11 @@ TIMES: dict[str, tuple[tuple[str, ...], Literal["all", "pose"]]] = {
     "pose_none": ((), "pose"),
     "pose": (("pick",), "pose"),
 }
-"""What is timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
+"""Calls that are timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
 ROUNDS = 3
 
 
-def _cost(home: Path) -> dict[str, float]:
+def _cost(run: Any) -> dict[str, float]:
     """Process milliseconds of a row (median of some rounds), of `TIMES` and of drawing its moment."""
     from dataclasses import replace
 
@@ -319,12 +310,10 @@ def _cost(home: Path) -> dict[str, float]:
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.observe import moments
     from r2h_batch.protocols.registry import named_benchmark
-    from r2h_batch.runs.store import load_run
 
     rows: list[dict[str, Any]] = []
-    for method in METHODS:
-        run = load_run(home / "runs" / f"truth {method}")
-        columns = rows_of(run, run.methods[0])
+    for name in run.methods:
+        columns = rows_of(run, name)
         rows += [columns[i] for i in sorted(columns)[:TIMED]]
     grasp, pose = poses_of(rows)
     ids = torch.tensor([r["trial_id"] for r in rows])
@@ -418,17 +407,11 @@ def markdown(data: Any) -> str:
     bound, few, more_cost = "", f"More than {data['seen_trials']} {FEW}", ""
     if "rules" in data:  # runs before these figures lack them
         bound, few = _bound_of(data, sighted)
-        of = (methods, data["seen"])
-        seconds = [
-            [(short | sighted)[k], *(f"{m[k]['cpu_s']:.2f}" if k in m else "" for m in of)]
-            for k in methods | data["seen"]
-        ]
         cost += [
             ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
             ["the pose stage with Pick", f"{ms['pose']:.3f}"],
         ]
-        table = markdown_table(["", "told the truth", "seeing"], seconds)
-        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], seconds=table)
+        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
         [short[k], of, *(f"{100 * m['reasons'].get(r, 0) / of:.1f}" for r in reasons)]
@@ -436,14 +419,14 @@ def markdown(data: Any) -> str:
         if (of := sum(m["reasons"].values()))
     ]
     oracle = methods["oracle"]
-    lost: Counter[str] = Counter(oracle["lost"])
-    every = short | sighted
+    lost = Counter(oracle["lost"])
     checked = data["checked"]
+    every = short | sighted
     wrong = [f"{every[c['method']]}, trial {c['trial']}: {c['wrong']}" for c in checked if c["wrong"]]
     known, names = certified_trials()
     drawn = [name.rpartition("_")[0].replace("_", " ") for name in names]
-    each, again = Counter(drawn), Counter(c for c, k in zip(drawn, known.redraws, strict=True) if k)
-    redraws = [[c, each[c], again[c], f"{100 * again[c] / each[c]:.1f}"] for c in sorted(again)]
+    of, again = Counter(drawn), Counter(c for c, k in zip(drawn, known.redraws, strict=True) if k)
+    redraws = [[c, of[c], again[c], f"{100 * again[c] / of[c]:.1f}"] for c in sorted(again)]
     return HEAD.format(
         certified=len(drawn),
         redrawn=sum(again.values()),
@@ -463,9 +446,7 @@ def markdown(data: Any) -> str:
         sees=SEES,
         seen_trials=data["seen_trials"],
         seen=markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
-        seen_causes=_causes_seen(data, sighted),
-        rooms=_rooms_table(data, order),
-        rooms_n=2 * data["room_trials"],
+        believed=_believed(data, sighted, order) if "rooms" in data else "",
         n=oracle["n"],
         unsolved=sum(lost.values()),
         unsolved_words=", ".join(f"{k.replace('_', ' ')} {v}" for k, v in lost.most_common()) or "none",
@@ -492,26 +473,22 @@ def markdown(data: Any) -> str:
     )
 
 
-def _causes_seen(data: Mapping[str, Any], short: Mapping[str, str]) -> str:
-    """A table of the reasons of Pick and Plan by method."""
+def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> str:
+    """What planning in what was seen costs: reasons by method, outcomes by room."""
     both = ("reasons", "plans")
     words = [list(dict.fromkeys(r for m in data["seen"].values() for r in m[k])) for k in both]
-    head = [
-        "",
-        *(f"{name}: {r.replace('_', ' ')}" for name, rs in zip(("Pick", "Plan"), words, strict=True) for r in rs),
-    ]
-    lines = [
+    named = [f"{name}: {r.replace('_', ' ')}" for name, rs in zip(("Pick", "Plan"), words, strict=True) for r in rs]
+    reasons = [
         [short[title], *(m[k].get(r, 0) for k, rs in zip(both, words, strict=True) for r in rs)]
         for title, m in data["seen"].items()
     ]
-    return markdown_table(head, lines)
-
-
-def _rooms_table(data: Mapping[str, Any], order: list[str]) -> str:
-    """A table of outcomes by the room that planning keeps."""
     asked = [c for c in order if any(c in m for m in data["rooms"].values())]
-    lines = [[f"{mm} mm", *(m.get(c, 0) for c in ("success", *asked))] for mm, m in data["rooms"].items()]
-    return markdown_table(["", "success", *(c.capitalize() for c in asked)], lines)
+    rooms = [[f"{mm} mm", *(m.get(c, 0) for c in ("success", *asked))] for mm, m in data["rooms"].items()]
+    return BELIEVED.format(
+        causes=markdown_table(["", *named], reasons),
+        rooms=markdown_table(["", "success", *(c.capitalize() for c in asked)], rooms),
+        n=2 * data["room_trials"],
+    )
 
 
 def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, str]:
@@ -520,7 +497,7 @@ def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, s
 
     seen = data["seen"]
     best = max(data["rules"], key=lambda k: seen[k]["won"].count("1"))
-    (robust,) = (k for k, title in short.items() if title == "Robust search")
+    robust = data["robust"]
     pairs = Counter(zip(seen[best]["won"], seen[robust]["won"], strict=True))
     more, less, n = pairs["0", "1"], pairs["1", "0"], len(seen[best]["won"])
     low, high = (100 * x for x in paired_score_interval(more, less, n))

@@ -21,6 +21,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 import copy
 import time
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -30,6 +31,7 @@ from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.launch.memory import in_chunks
 from r2h_batch.base.validate import instance_of, suggest_names
 from r2h_batch.config import EvalConfig
@@ -155,7 +157,7 @@ class Evaluator(Prepared):
         if first:
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
-        with self.working():
+        with busy("judging") if first else nullcontext(), self.working():
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)

@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float32, Float64, Int8
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.validate import (
     boolean,
     describe_value,
@@ -440,7 +441,8 @@ class HandoverEnv(VectorEnv):
                 )
             self._seed(seed)
         if seed is not None or not self._begun:
-            return self._given(self.begin()), self._info(None)
+            with busy("the first episodes"):
+                return self._given(self.begin()), self._info(None)
         if mask is None:
             mask = np.ones(self.num_envs, np.bool_)
         self._next(torch.from_numpy(mask).to(self._device))

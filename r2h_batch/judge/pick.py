@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.judge.goal import failed_clearance
@@ -113,7 +113,7 @@ def picked(
     check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
     check_indices(scene, trials)
     one_thread = one_torch_thread(torch.device(scene.device))
-    with one_thread, progress("picked", len(trials), "trials") as told:
+    with one_thread, busy("picks"), progress("picked", len(trials), "trials") as told:
         return judge_picks(scene, T_obj_ee, T_world_obj, trials, told=told)
 
 
@@ -788,8 +788,8 @@ class FingersWay(NamedTuple):
 
 @lru_cache(maxsize=4)
 def fingers_way(scene: Scene) -> FingersWay:
-    """Of a scene's gripper: from one opening to the next no point goes farther than its primitive's middle and its radius times
-    the turn."""
+    """The way of a scene's fingers: from one opening to the next no point goes farther than its middle does and its radius
+    times the turn."""
     step = scene.robot.open_gap_m / CELLS
     opening = step * torch.arange(CELLS + 1, dtype=torch.float32, device=scene.device)
     R, p = (x.double() for x in gripper_poses(scene.robot, opening))

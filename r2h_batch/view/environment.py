@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, PRESET_NAMES
 from r2h_batch.base.validate import (
     check_keywords,
@@ -115,6 +116,7 @@ _INNER = ("self", "scores", "more")
 _DRAWS: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
+@busy("an environment")
 def make_vector(
     num_envs: int = 1,
     *,
