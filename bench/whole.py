@@ -299,7 +299,8 @@ TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "pose": (("pick",), "pose"),
 }
 """Calls that are timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
-ROUNDS = 3
+WARM, ROUNDS = 4, 3
+"""Calls before the clock counts: the first compiles and caches, the next ones record small calls."""
 
 
 def _cost(run: Any) -> dict[str, float]:
@@ -320,11 +321,11 @@ def _cost(run: Any) -> dict[str, float]:
 
     def timed(call: Callable[[], object]) -> float:
         spent = []
-        for _ in range(1 + ROUNDS):
+        for _ in range(WARM + ROUNDS):
             begin = time.process_time()
             call()
             spent.append(time.process_time() - begin)
-        return 1e3 * statistics.median(spent[1:]) / len(rows)  # the first one compiles and caches
+        return 1e3 * statistics.median(spent[WARM:]) / len(rows)
 
     found: dict[str, float] = {}
     draft = named_benchmark("r2h-v3-draft")
