@@ -113,7 +113,7 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         (
             "sweep --method random --benchmark r2h-v3",
-            ["no benchmark is called 'r2h-v3', did you mean r2h-v2?; allowed are"],
+            ["no benchmark is called 'r2h-v3', did you mean r2h-v3-draft?; allowed are"],
         ),
         (
             "sweep --benchmark r2h-v1 --method random --people adults children",

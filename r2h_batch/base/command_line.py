@@ -293,14 +293,10 @@ def _deferred(function: Command, every: bool = False, *, first: bool = False) ->
     text, args, about = words.partition("\n\nArgs:\n")
     if first:
         text = text.split("\n\n")[0]
-    if grouped := [
-        flag for k in function.__annotations__.values() if is_dataclass(k) for flag in _flags(k)
-    ]:
-        text += (
-            ""
-            if first or every
-            else f"\n\nMore flags ({HELP_ALL} explains them): {', '.join(grouped)}."
-        )
+    grouped = [k for k in function.__annotations__.values() if is_dataclass(k)]
+    if grouped and not (first or every):
+        flags = [f"--{f.name.replace('_', '-')}" for k in grouped for f in fields(k)]
+        text += f"\n\nMore flags ({HELP_ALL} explains them): {', '.join(flags)}."
     words = text + args + about
     parameters = inspect.signature(function).parameters.values()
     given: dict[str, Any] = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
