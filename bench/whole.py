@@ -58,7 +58,8 @@ BOUND = """The robust search less the best published rule ({best}), paired by tr
 
 """
 LEAST_POINTS = 15
-BELIEVED = """Why Pick and Plan fail, trials. Path collides and motion in collision: it was free as planned, and met something in truth.
+BELIEVED = """Why Pick and Plan fail, trials. What collides on the path, and motions in collision, were free as planned, and met
+something in truth.
 
 {causes}
 
@@ -80,7 +81,7 @@ SHARD = 128
 """Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 8
 """Rows of each method that other code judges again."""
-TIMED = 32
+TIMED = 128
 """Rows of each method whose parts are timed."""
 
 HEAD = """# The draft r2h-v3: results
@@ -475,7 +476,7 @@ def markdown(data: Any) -> str:
 
 
 def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> str:
-    """What planning in what was seen costs: reasons by method, outcomes by room."""
+    """The section on planning in what was seen: reasons by method, outcomes by room."""
     both = ("reasons", "plans")
     words = [list(dict.fromkeys(r for m in data["seen"].values() for r in m[k])) for k in both]
     named = [f"{name}: {r.replace('_', ' ')}" for name, rs in zip(("Pick", "Plan"), words, strict=True) for r in rs]
