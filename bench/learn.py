@@ -731,12 +731,13 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 
 {table}
 
-- *{first}*: the candidates are those of the instance with its own region. *{second}*: they are sampled anew, as for an
-  object of yours; at least 40 % of them keep off the region, where so many are found.
-- *Any of its 384 pairs*: Learned takes one of these pairs. It fails in the rest of this column because of the ranking.
-- *A candidate holds*: some candidate passes Stability and leaves the region free. In other trials no method can succeed that
+- Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
+  yours. At least 40 % of them keep off the region, where so many are found.
+- Any of its 384 pairs: Learned takes one of these pairs. What it has less than this column is lost by the ranking.
+- A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
   takes a candidate.
-- *A denser one holds*: so does a candidate, or one of about 100,000 proposed grasps.
+- A denser one holds: a candidate does, or one of about 100,000 proposed grasps. In the other trials the gripper finds nothing
+  to hold beside the region.
 
 """
 RECIPES_WORDS = """## How the recipe was chosen

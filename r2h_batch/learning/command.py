@@ -73,6 +73,7 @@ def rank(
             )
     if not (out / CHECKPOINT).is_file():
         check_output_folder(out, overwrite=None)
+        out.mkdir(parents=True, exist_ok=True)  # before minutes of work, not after
     with Logger(log, out, vars(recipe)) if log else nullcontext() as logger:
         numbers: Callable[[Mapping[str, float], int], Any] = (
             logger.log if logger else lambda numbers, step: None

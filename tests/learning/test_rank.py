@@ -119,6 +119,12 @@ def test_the_command_trains_leaves_out_and_says_what_is_wrong(tmp_path, capsys):
         assert said in error
 
 
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(monkeypatch, capsys):
+    monkeypatch.setattr("r2h_batch.learning.rank.train_ranker", lambda *_, **__: pytest.fail("it began"))
+    assert main(["train", "rank", "--out", "/proc/none/rank"]) == 1  # nobody can make a folder there
+    assert "/proc/none" in capsys.readouterr().err.strip().splitlines()[-1]
+
+
 def test_features_do_not_depend_on_where_the_object_frame_lies_nor_on_the_batch(pairs):
     item = pairs.item(1)
     R = torch.from_numpy(np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]).float()
