@@ -3,14 +3,19 @@
 `python bench/sees.py` sweeps the built-in methods, a robust search and examples/grasp_seen.py on r2h-v2, told the truth, and
 shown what two posts or one see. `--render` writes the page again from the JSON. `--parts FOLDER` keeps what is done: started
 again, it goes on with what is missing.
+
+A process takes a piece of the trials through all sights: images that are the same show the same solids. All methods of a sight
+are one sweep, so they look once.
 """
 
 import argparse
+import hashlib
+import json
 import multiprocessing
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -84,15 +89,18 @@ Trials of both splits by their first failure: {causes}.
 Percent of all trials in which some posture takes the object up where it lay; the way there is not looked at.
 
 {picks}
+{cost}"""
 
+COST = """
 ## Cost
 
-CPU seconds of a trial, looking and judging included, one method after the other in one process: the next method finds the solids
-of the one before it, and those of images that the process has had before. The example's own process does not count.
+CPU seconds of a trial, looking and judging included, for {cost_trials} trials beyond the first ones. Each method is a sweep of
+its own. The first row is the believed world: its solid, grasps and the hands that hold it. It is made once for all methods of a
+process. The hands are half of it; the searches, random and the example do not ask for them. The example's own process does not
+count.
 
 {costs}
 """
-
 
 REGION = """## The receiver's region
 
@@ -107,58 +115,134 @@ In S0 there is no region, and the answers are the same.
 """
 
 
+SHARD = 128
+"""Trials that a process takes through all sights before it takes the next ones: their solids stay
+(`believed_object.KEPT_SOLIDS`)."""
+COSTS = ("the truth", HIDDEN, "one post", "two posts, model known, pose as `lab`")
+"""Sights whose cost is measured; the others cost what two posts do."""
+FEW, MORE = 2, 12
+"""Trials a split of two sweeps. The difference is the cost of a trial, without that of a sweep's start."""
+WORLD = "solid, grasps, hands"
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
+    of = {"trials": options.trials, "source": digests(MEASURES)}
+    parts = Parts(options.parts, of)
     context = multiprocessing.get_context("spawn")
-    parts = Parts(options.parts, {"trials": options.trials, "source": digests(MEASURES)})
-    with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
-        found = [pool.submit(parts.get, w, partial(_shown, w, options.trials)) for w in SEES]
-        shown = {words: f.result() for words, f in zip(SEES, found, strict=True)}
-    return {"trials": options.trials, "shown": shown, **made_by(MEASURES)}
+    with tempfile.TemporaryDirectory() as folder:
+        # rows that other code made are not gone on with
+        name = hashlib.sha256(json.dumps(of).encode()).hexdigest()[:12]
+        runs = (options.parts or Path(folder)) / f"runs-{name}"
+        runs.mkdir(parents=True, exist_ok=True)
+        with ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=1) as pool:
+            found = [pool.submit(parts.get, f"cost of {w}", partial(_costs, w)) for w in COSTS]
+            costs = {words: f.result() for words, f in zip(COSTS, found, strict=True)}
+        shards = -(-2 * options.trials // SHARD)
+        with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
+            for each in [pool.submit(_swept, runs, options.trials, k, shards) for k in range(shards)]:
+                each.result()
+        shown = {words: _reached(runs / _slug(words), words) for words in SEES}
+    return {"trials": options.trials, "shown": shown, "cost": costs, **made_by(MEASURES)}
 
 
-def _shown(words: str, trials: int) -> dict[str, Any]:
+def _asked(words: str) -> dict[str, str]:
+    """Name -> method, of those that one sight is asked of."""
+    if SEES[words]:
+        return METHODS
+    return {k: v for k, v in METHODS.items() if k not in ("plain search", "example")} | ORACLE
+
+
+def _slug(words: str) -> str:
+    return "".join(c if c.isalnum() else "-" for c in words)
+
+
+def _sweep(folder: Path, words: str, methods: Iterable[str], trials: int, *more: object) -> Path:
+    """A run of methods with one sight."""
+    rig = folder.parent / f"rig-{_slug(words)}" / "left-post.toml"
+    sees = SEES[words]
+    if sees.endswith(".toml"):
+        rig.parent.mkdir(exist_ok=True)
+        if not rig.exists():
+            rig.write_text(ONE_POST)
+        sees = str(rig)
+    own = ("--sees", sees) if sees else ()
+    return swept(
+        folder, "--method", *methods, *own, "--sim", "none", "--trials", trials, "--threads", 1, "--quiet", *more
+    )
+
+
+def _swept(runs: Path, trials: int, k: int, shards: int) -> None:
+    """One shard of the trials through all sights."""
+    for words in SEES:
+        begin = time.process_time()
+        piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
+        _sweep(runs / _slug(words), words, _asked(words).values(), trials, *piece)
+        print(f"{words}, shard {k + 1} of {shards}: {time.process_time() - begin:.0f} CPU s", flush=True)
+
+
+def _reached(folder: Path, words: str) -> dict[str, Any]:
     """Method -> what it reached with one sight."""
     from r2h_batch.report.table import table_of
     from r2h_batch.runs.store import load_run
 
-    sees, out = SEES[words], {}
-    asked = dict(METHODS)
-    if not sees:
-        asked = {k: v for k, v in METHODS.items() if k not in ("plain search", "example")} | ORACLE
-    with tempfile.TemporaryDirectory() as folder:
-        home = Path(folder)
-        (home / "left-post.toml").write_text(ONE_POST)
-        text = str(home / sees) if sees.endswith(".toml") else sees
-        more = ("--sees", text) if sees else ()
-        for name, method in asked.items():
-            begin = time.process_time()
-            own = swept(
-                home / name, "--method", method, *more, "--sim", "none", "--trials", trials, "--threads", 1, "--quiet"
-            )
-            seconds = time.process_time() - begin
-            run = load_run(own)
-            (title,) = run.methods
-            rows = run.trials(title)
-            outcome = rows["outcome"].to_pylist()
-            found: dict[str, Any] = {"causes": {c: Counter(outcome)[c] for c in CAUSES}}
-            for line in table_of(run).rows:
-                if line.split != "Avg":
-                    sr, new = line.rates["sr"], line.sr_new_categories
-                    assert sr is not None and new is not None
-                    split = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
-                    found[line.split] = {
-                        "won": "".join(str(int(o == "success")) for o in split),
-                        "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
-                        "categories": [new.low / 100, new.high / 100],
-                    }  # fmt: skip
-            if sees:
-                seen = run.sees(title)
-                found["pick"] = float(np.mean(seen["pick"].to_pylist()))
-                found["seen_share"] = float(np.median(seen["seen_share"].to_numpy()))
-            found["cpu_s"] = seconds / len(rows)
-            out[name] = found
-            print(words, name, found, flush=True)
+    run, out = load_run(folder), {}
+    lines = table_of(run).rows
+    for name, title in zip(_asked(words), run.methods, strict=True):
+        rows = run.trials(title)
+        outcome = rows["outcome"].to_pylist()
+        found: dict[str, Any] = {"causes": {c: Counter(outcome)[c] for c in CAUSES}}
+        for line in lines:
+            if line.method == title and line.split != "Avg":
+                sr, new = line.rates["sr"], line.sr_new_categories
+                assert sr is not None and new is not None
+                split = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
+                found[line.split] = {
+                    "won": "".join(str(int(o == "success")) for o in split),
+                    "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
+                    "categories": [new.low / 100, new.high / 100],
+                }  # fmt: skip
+        if SEES[words]:
+            seen = run.sees(title)
+            found["pick"] = float(np.mean(seen["pick"].to_pylist()))
+            found["seen_share"] = float(np.median(seen["seen_share"].to_numpy()))
+        out[name] = found
     return out
+
+
+def _costs(words: str) -> dict[str, float]:
+    """Method -> CPU seconds of a trial in a sweep of its own; `WORLD`: of what the methods share."""
+    asked = _asked(words)
+    with tempfile.TemporaryDirectory() as folder:
+
+        def seconds(name: str, *, cold: bool) -> float:
+            took = []
+            for trials in (FEW, FEW, MORE):  # the first loads what is used
+                _forget() if cold else CONTACTS.clear()
+                begin = time.process_time()
+                _sweep(Path(folder) / f"{name} {len(list(Path(folder).iterdir()))}", words, [asked[name]], trials)
+                took.append(time.process_time() - begin)
+            return (took[2] - took[1]) / (2 * (MORE - FEW))
+
+        from r2h_batch.methods.believed import CONTACTS
+
+        first = next(iter(asked))
+        cold = seconds(first, cold=True)
+        found = {name: seconds(name, cold=False) for name in asked}
+        if SEES[words]:
+            found[WORLD] = cold - found[first]
+    return found
+
+
+def _forget() -> None:
+    """No believed object comes from memory."""
+    from r2h_batch.methods import believed
+    from r2h_batch.observe import believed_object
+
+    believed_object.SOLIDS.clear()
+    believed_object.known_mesh.cache_clear()
+    believed.CONTACTS.clear()
+    for kept in (believed.holds_on, believed.with_grasps):
+        kept.cache_clear()
 
 
 def markdown(data: Mapping[str, Any]) -> str:
@@ -179,6 +263,9 @@ def markdown(data: Mapping[str, Any]) -> str:
     told = ""
     if TOLD in shown:
         told = REGION.format(table=_told_table(shown[HIDDEN], shown[TOLD]))
+    cost = ""
+    if "cost" in data:
+        cost = COST.format(cost_trials=2 * (MORE - FEW), costs=_cost_table(data["cost"]))
     widths = [d[s]["interval"] for of in shown.values() for d in of.values() for s in ("S0", "S1")]
     return HEAD.format(
         trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
@@ -189,8 +276,14 @@ def markdown(data: Mapping[str, Any]) -> str:
         causes=" / ".join(CAUSES),
         failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
         picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
-        costs=table(lambda d: f"{d['cpu_s']:.2f}"),
+        cost=cost,
     )  # fmt: skip
+
+
+def _cost_table(cost: Mapping[str, Mapping[str, float]]) -> str:
+    """A row for each method, a column for each sight."""
+    lines = [[name, *(f"{of[name]:.2f}" if name in of else "" for of in cost.values())] for name in (WORLD, *METHODS)]
+    return markdown_table(["", *cost], lines)
 
 
 def _told_table(hidden: Mapping[str, Any], told: Mapping[str, Any]) -> str:

@@ -18,8 +18,10 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 `_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
 """
 
+import copy
 import time
 import warnings
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
@@ -28,6 +30,8 @@ import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
+from r2h_batch.base import se3
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.launch.memory import in_chunks
 from r2h_batch.base.validate import instance_of, suggest_names
 from r2h_batch.config import EvalConfig
@@ -58,12 +62,13 @@ from r2h_batch.judge.presented import presented
 from r2h_batch.judge.scores import motion_scores, not_given, pose_fields, pose_scores, verdict
 from r2h_batch.prepared import Prepared
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import BodyPoses
+from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
 from r2h_batch.types import GivenScores, PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.judge.pick import Picked
+    from r2h_batch.judge.plan import Plan
     from r2h_batch.judge.trace import Trace
     from r2h_batch.training.first_order import Changes
 
@@ -94,6 +99,8 @@ class Evaluator(Prepared):
             workplace must be defaults or equal the benchmark's.
         device: `cpu`, `cuda` or `cuda:N`.
         threads: CPU threads of a call; None: all cores.
+        plans_in: the cameras by whose images arms are planned (docs/pick.md, "What planning believes"); None: planning
+            knows the truth. For benchmarks that ask for Pick.
 
     Raises:
         TypeError, ValueError: one of these is something else.
@@ -150,7 +157,7 @@ class Evaluator(Prepared):
         if first:
             self.called = True
             warn_of_doubts(T_obj_ee, T_world_ee, trials)
-        with self.working():
+        with busy("judging") if first else nullcontext(), self.working():
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
             scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
@@ -271,44 +278,22 @@ class Evaluator(Prepared):
         """Every stage: hold, IK, plan, move, judge."""
         from r2h_batch.judge.motion.execute import execute
         from r2h_batch.judge.motion.time_law import time_path
-        from r2h_batch.judge.plan import plan_paths, random_key
 
         scene, config = self.scene, self.config
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
-
-        picked = self._picked(held, T_obj_ee, trials, paths=True)
-        plan_start = time.perf_counter()
-        ik, branches = self._branches(config, held)
-        key = random_key(trials.trial_id)
-        goals, begins, start = ik.q, active, None
-        if picked is not None:  # carried from where the lift ends
-            begins = active & picked.picked
-            home = home_posture(str(active.device), config.workplace.home_q)
-            start = torch.where(begins[:, None], picked.lifted, home)
-            goals = nearest_turns(ik.q, start, scene.robot)
-        planned = plan_paths(
-            scene,
-            held.planner_poses,
-            goals,
-            branches,
-            begins,
-            key,
-            config.plan,
-            execute=config.execute,
-            start=start,
-        )
-        t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
-        missed_m = failed_clearance(
-            scene, held.planner_poses, held.T_world_ee, ik, branches, planned.reason
-        )  # fmt: skip
-        planned = replace(planned, reason=weaken_singular_reason(planned.reason, ik))
+        if self.plans_in is None:
+            picked = self._picked(held, T_obj_ee, trials, paths=True)
+            planned, missed_m, t_plan_s = self._plan(held, trials, picked)
+        else:
+            picked, planned, missed_m, t_plan_s = self._believed(held, T_obj_ee, trials)
         weight = self.scene.robot.joint_weight
         motion = time_path(planned.path, planned.length, config.execute, weight)
         # the clearance is certified only for exact edges and the true hand
         certified = (
             planned.clearance_m
             if (config.plan.edge_check, config.plan.hand) == ("exact", "true")
+            and self.plans_in is None
             else None
         )
         executed = execute(
@@ -325,7 +310,7 @@ class Evaluator(Prepared):
         body_m, body, _ = over_motion(
             scene, held.body_poses, executed, partial(self._person_distance, trials)
         )  # fmt: skip
-        goal_reached = (planned.length > 0) & executed.settled
+        goal_reached = (planned.reason == int(PlanReason.OK)) & executed.settled
         shared, nearest = self._judge(
             held,
             goal_reached=goal_reached,
@@ -342,6 +327,83 @@ class Evaluator(Prepared):
             trials.trial_id, shared, region, active, planned, motion, executed, nearest, config.execute,
             t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
         )  # fmt: skip
+
+    def _plan(
+        self, held: AttachedBatch, trials: Trials, picked: "Picked | None"
+    ) -> tuple["Plan", Tensor, float]:
+        """Paths from home, or from where the object is lifted; how far rows without one are from one (m, below 0); seconds a
+        trial."""
+        from r2h_batch.judge.plan import plan_paths, random_key
+
+        scene, config = self.scene, self.config
+        plan_start = time.perf_counter()
+        ik, branches = self._branches(config, held)
+        goals, begins, start = ik.q, held.active, None
+        if picked is not None:  # carried from where the lift ends
+            begins = begins & picked.picked
+            home = home_posture(str(begins.device), config.workplace.home_q)
+            start = torch.where(begins[:, None], picked.lifted, home)
+            goals = nearest_turns(ik.q, start, scene.robot)
+        planned = plan_paths(
+            scene,
+            held.planner_poses,
+            goals,
+            branches,
+            begins,
+            random_key(trials.trial_id),
+            config.plan,
+            execute=config.execute,
+            start=start,
+        )
+        t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
+        missed_m = failed_clearance(
+            scene, held.planner_poses, held.T_world_ee, ik, branches, planned.reason
+        )  # fmt: skip
+        reason = weaken_singular_reason(planned.reason, ik)
+        return replace(planned, reason=reason), missed_m, t_plan_s
+
+    def _believed(
+        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials
+    ) -> tuple["Picked", "Plan", Tensor, float]:
+        """As `_picked` and `_plan`, where the arm is planned in what cameras saw: what it does there, judged in the truth."""
+        from r2h_batch.judge.followed import follow_plans, no_plan, nothing_to_pick, put
+        from r2h_batch.judge.pick import follow_picks, judge_picks
+        from r2h_batch.observe.believed_world import believed_world
+
+        assert self.plans_in is not None  # the caller has asked
+        scene, b, device = self.scene, len(trials), held.active.device
+        T_world_obj = self._moments(held, trials)
+        T_world_grasp = se3.matmul(T_world_obj.double(), T_obj_ee.double())
+        picked = nothing_to_pick(scene, T_world_grasp.float())
+        planned = no_plan(b, len(scene.robot.joints), device)
+        missed_m = torch.full_like(planned.clearance_m, -torch.inf)
+        t_plan_s, rows = 0.0, torch.nonzero(held.active)[:, 0]
+        world = believed_world(scene, trials[rows], self.plans_in) if len(rows) else None
+        if world is not None:
+            rows = rows[world.row.to(device)]
+            grasps, rest = world.grasps(T_world_grasp[rows]), world.T_world_obj.float()
+            seen = attach_object(
+                world.scene, grasps, held.T_world_ee[rows], world.trials, self.config
+            )
+            own = judge_picks(world.scene, grasps, rest, world.trials, paths=True)
+            plan, missed, seconds = self.in_scene(world.scene)._plan(seen, world.trials, own)
+            put(picked, rows, own)
+            put(planned, rows, plan)
+            missed_m[rows], t_plan_s = missed, seconds * len(rows) / b
+        picked = follow_picks(scene, T_obj_ee, T_world_obj, trials, picked)
+        planned = follow_plans(scene, held, planned, held.active & picked.picked)
+        met = planned.reason == int(PlanReason.MOTION_IN_COLLISION)
+        return picked, planned, torch.where(met, planned.clearance_m, missed_m), t_plan_s
+
+    def in_scene(self, scene: Scene) -> "Evaluator":
+        """The same evaluator in another scene, where planning knows the truth.
+
+        Args:
+            scene: its benchmark has the same limits and criteria.
+        """
+        twin = copy.copy(self)
+        twin.scene, twin.plans_in = scene, None
+        return twin
 
     def _score_trace(
         self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: "Trace", trace: "Trace", trials: Trials
@@ -494,14 +556,42 @@ class Evaluator(Prepared):
         if "pick" not in self.benchmark.asks:
             return None
         from r2h_batch.judge.pick import judge_picks
+
+        T_world_obj = self._moments(held, trials)
+        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, paths=paths)
+
+    def picks(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "Picked":
+        """How the arm picks, or fails to, as a part of the verdict on B handovers.
+
+        Args:
+            T_obj_ee: (B, 4, 4) grasps, as of `score`.
+            T_world_ee: (B, 4, 4) handover poses, as of `score`.
+            trials: B trials of a benchmark that asks for Pick.
+
+        Raises:
+            TypeError, ValueError: shape, dtype or device do not fit; before any work.
+        """
+        T_obj_ee, T_world_ee, trials = checked_inputs(
+            self.scene, T_obj_ee, T_world_ee, trials, "all"
+        )
+        with self.working():
+            held = attach_object(self.scene, T_obj_ee, T_world_ee, trials, self.config)
+            if self.plans_in is not None:
+                return self._believed(held, T_obj_ee, trials)[0]
+            found = self._picked(held, T_obj_ee, trials, paths=True)
+        assert found is not None  # the benchmark asks for it
+        return found
+
+    def _moments(self, held: AttachedBatch, trials: Trials) -> Float32[Tensor, "b 4 4"]:
+        """Where the objects rest, m; the identity where a hand is no pose and has no moment."""
         from r2h_batch.observe.known import known_moments
 
-        active = torch.nonzero(held.active)[:, 0]  # a hand that is no pose has no moment
+        active = torch.nonzero(held.active)[:, 0]
         T_world_obj = torch.eye(4, dtype=torch.float32, device=active.device).repeat(
-            len(T_obj_ee), 1, 1
+            len(trials), 1, 1
         )
         T_world_obj[active] = known_moments(self.scene).of(trials[active])
-        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, paths=paths)
+        return T_world_obj
 
     def _person_distance(
         self,

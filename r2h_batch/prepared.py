@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import torch
 from jaxtyping import Float, Float32, Int
@@ -38,6 +38,9 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.training import torch_op
 from r2h_batch.training.capture import Captured, check_capture
 from r2h_batch.types import Scores, Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.observe.sees import Sees
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -70,6 +73,7 @@ class Prepared(ABC):
         *,
         device: str | torch.device = "cpu",
         threads: int | None = None,
+        plans_in: "Sees | None" = None,
     ) -> None:
         how = "load_benchmark(NAME or FILE)"
         if isinstance(benchmark, EvalConfig):
@@ -83,7 +87,11 @@ class Prepared(ABC):
         warn_of_payload(self.scene)
         self.config = self.scene.config
         check_asks(self.benchmark, self.config)
-        self.threads = threads
+        if plans_in is not None and "pick" not in self.benchmark.asks:
+            raise ValueError(
+                f"plans_in is given, and benchmark {self.benchmark.name!r} begins with the object in the gripper; leave it out"
+            )
+        self.threads, self.plans_in = threads, plans_in
         if self.scene.device != "cpu":
             build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
         self._begin()

@@ -254,3 +254,4 @@ class PickReason(IntEnum):
     BEFORE_COLLIDES = 10
     NO_PATH_IN_BUDGET = 11
     NOT_EVALUATED = 12
+    PATH_COLLIDES = 13

@@ -8,7 +8,7 @@ batch. Definitions: docs/receivers.md, "Receivers that move".
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Any, ClassVar, Literal, TypeGuard, get_args
 
 import gymnasium
 import numpy as np
@@ -21,6 +21,7 @@ from jaxtyping import Bool, Float32, Float64, Int8
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.validate import (
     boolean,
     describe_value,
@@ -238,7 +239,12 @@ class HandoverEnv(VectorEnv):
     Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
     it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
     depends on the seed and the trial alone. The next one has the next handover of `scores`, noise and motion drawn anew.
+
+    The object is in the gripper on every benchmark; `TableHandoverEnv` begins before that.
     """
+
+    from_table: ClassVar[bool] = False
+    """Whether the gripper is open and the object on the table when an episode begins."""
 
     @suggest_names
     def __init__(
@@ -301,6 +307,7 @@ class HandoverEnv(VectorEnv):
         self.privileged, self.scene = privileged, self.evaluator.scene
         self._transfers = self._transfers_of(release)
         self._lets_go = release == ASKED
+        self._moves_gripper = self._lets_go or self.from_table
         self._sees_person = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = num_envs or n, 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
@@ -322,6 +329,7 @@ class HandoverEnv(VectorEnv):
             shapes |= {"true_T_world_hand": (4, 4), "true_gap": ()}
         if self._lets_go:
             shapes["wrist_force"] = (3,)
+        shapes |= self._more_shapes()
         self.single_observation_space = Dict(
             {k: Box(-MOST, MOST, shape, np.float32) for k, shape in shapes.items()}
         )
@@ -332,7 +340,7 @@ class HandoverEnv(VectorEnv):
             "pose": Box(-10.0, 10.0, (4, 4), np.float32),
             "posture": Box(np.float32(robot.lower), np.float32(robot.upper)),
         }[action]
-        if self._lets_go:
+        if self._moves_gripper:
             arm = self.single_action_space
             low, high = (np.append(x, np.float32(y)) for x, y in ((arm.low, -1), (arm.high, 1)))
             self.single_action_space = Box(low, high)
@@ -343,6 +351,10 @@ class HandoverEnv(VectorEnv):
         self._moved_seeds = np.full(self.num_envs, self.motion.seed, object)
         self._hold(self._every)
         self._begun = False
+
+    def _more_shapes(self) -> dict[str, tuple[int, ...]]:
+        """More observations of an environment: name -> shape of a row."""
+        return {}
 
     def _transfers_of(self, release: str | None) -> LoopTransfers | None:
         if release is None:
@@ -429,7 +441,8 @@ class HandoverEnv(VectorEnv):
                 )
             self._seed(seed)
         if seed is not None or not self._begun:
-            return self._given(self.begin()), self._info(None)
+            with busy("the first episodes"):
+                return self._given(self.begin()), self._info(None)
         if mask is None:
             mask = np.ones(self.num_envs, np.bool_)
         self._next(torch.from_numpy(mask).to(self._device))
@@ -593,9 +606,9 @@ class HandoverEnv(VectorEnv):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
         given = given.detach().to(self._device)
-        if self._lets_go:
-            given, opens = given[:, :-1], given[:, -1]
-            self._opens = opens > 0
+        if self._moves_gripper:
+            given, gripper = given[:, :-1], given[:, -1]
+            self._opens, self._closes = gripper > 0, gripper < 0
         with self.evaluator.working():
             return self._step(given)
 
@@ -605,14 +618,19 @@ class HandoverEnv(VectorEnv):
         first, last = self.times, (self.k_of + 1).double() * self.step_s
         assert self.hands is not None
         q, qd = self.moved(actions, rows)
-        if self._transfers is not None:  # the arm holds still while the person takes the object
-            stands = self._transfers.begun(self.num_envs).to(self._device)[rows]
+        stands = self._stands(rows)
+        if stands is not None:
             q = torch.where(stands[:, None], self.q[rows], q)
             qd = torch.where(stands[:, None], 0.0, qd)
         T = self.hands.pose(last)
         moved = self.hands.travel(first, last) > 1e-6
         passed = self._distance.over_step(
-            rows, (self.q[rows], q), self.hands, (first[rows], last[rows]), self.gap[rows]
+            rows,
+            (self.q[rows], q),
+            self.hands,
+            (first[rows], last[rows]),
+            self.gap[rows],
+            self._openings(rows),
         )
         if self._sees_person and len(rows):
             near = self._from_person(rows, torch.stack([self.q[rows], q], 1), T[rows])
@@ -643,6 +661,7 @@ class HandoverEnv(VectorEnv):
             self._by_robot[touched] = by_robot & bad
             for who, why in ((by_robot, Why.ROBOT_CAME), (~by_robot, Why.HAND_CAME)):
                 self._finish(touched[bad & who], End.CONTACT, why)
+        self._on_the_way(rows, old)
         self._receive(rows, se3.dot(gone, gone).sqrt())
         late = (self.ends == int(End.RUNNING)) & (self.times >= self.config.horizon_s - 1e-9)
         self._finish(torch.nonzero(late).flatten(), End.TIMEOUT, Why.LATE)
@@ -653,6 +672,19 @@ class HandoverEnv(VectorEnv):
             reward, terminated, truncated = outcome
             outcome = reward, terminated & running, truncated & running
         return self._observe(), *outcome
+
+    def _stands(self, rows: Tensor) -> Tensor | None:
+        """Rows whose arm holds still: while the person takes the object."""
+        if self._transfers is None:
+            return None
+        return self._transfers.begun(self.num_envs).to(self._device)[rows]
+
+    def _openings(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
+        """Gaps between the pads of `rows` before and after this step, m; None: the fingers stand."""
+        return None
+
+    def _on_the_way(self, rows: Tensor, before: Tensor) -> None:
+        """Other ends of a step; `before`: (B, J) postures before it."""
 
     def _at_gripper(self, rows: Tensor) -> Tensor:
         """Whether the robot's body nearest to the hand is one of the gripper's."""
@@ -835,16 +867,9 @@ class HandoverEnv(VectorEnv):
         ends."""
         if not len(rows):
             return
-        inputs = self.scores.inputs
-        assert inputs is not None
-        T, person = self.T_world_ee[rows], self.receiver
-        trials = replace(
-            self.trials[rows],
-            T_world_hand=self.T_world_hand[rows],
-            receiver=None if person is None else person[rows],
-        )
-        poses = inputs.T_obj_ee[rows], T.float()
-        posed = self.evaluator.score(*poses, trials, stages="pose")
+        trials = self._trials_now(rows)
+        poses = self._grasped(rows), self.T_world_ee[rows].float()
+        posed = self._posed(*poses, trials)
         found = posed.inputs
         assert found is not None
         reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
@@ -867,6 +892,25 @@ class HandoverEnv(VectorEnv):
             handed = handed_of(reception_scores, ids, self.trials[rows], self.scene)
             self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
         self._take(some, Taken(before, there, vertices, joints))
+
+    def _trials_now(self, rows: Tensor) -> Trials:
+        """Trials with the receivers where they are."""
+        person = self.receiver
+        return replace(
+            self.trials[rows],
+            T_world_hand=self.T_world_hand[rows],
+            receiver=None if person is None else person[rows],
+        )
+
+    def _grasped(self, rows: Tensor) -> Tensor:
+        """The grasps of `rows`, before closing moved the object."""
+        inputs = self.scores.inputs
+        assert inputs is not None
+        return inputs.T_obj_ee[rows]
+
+    def _posed(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
+        """Verdicts of poses as they are now."""
+        return self.evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")
 
     def _take(self, rows: Tensor, grasp: Taken) -> None:
         """Hands set out for these grasps, with the grasps' fingers from now on."""
@@ -922,8 +966,12 @@ class HandoverEnv(VectorEnv):
         rows = rows[self.k_of[rows] > 0]
         if end == End.CONTACT or not len(rows):
             return
-        met = rows[~self._meets_nothing(rows, self._since(self._postures, rows))]
+        met = self._met_on_all_the_way(rows)
         self.ends[met], self._why[met] = int(End.COLLISION), int(Why.IN_THE_WAY)
+
+    def _met_on_all_the_way(self, rows: Tensor) -> Tensor:
+        """Those of `rows` whose robot met itself, the table or the object, as far as nobody looked before."""
+        return rows[~self._meets_nothing(rows, self._since(self._postures, rows))]
 
     def _since(self, each: list[Tensor], rows: Tensor) -> Tensor:
         """Entries (r, s, ...) of all steps since the oldest of these rows' episodes began; a younger one begins with its

@@ -1,15 +1,18 @@
 """Episodes of a batch of handovers: a policy, receivers that move, and how they end."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import torch
 
 from r2h_batch.base.user_code import chosen
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
+from r2h_batch.closed_loop.from_table import TABLE_HORIZON_S, TableHandoverEnv
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
-from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
+from r2h_batch.closed_loop.picking import Picks
+from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan, kind_of_action
+from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.runs import provenance
 from r2h_batch.types import Scores
 
@@ -37,17 +40,35 @@ def policy_of(spec: str) -> tuple[Any, str]:
     return policy, f"{own.spec} {provenance.file_digest(own.files().values())[:16]}"
 
 
-def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
+def env_class(scores: Scores) -> type[HandoverEnv]:
+    """Which environment plays handovers: where the benchmark asks for Pick, one that begins at the table.
+
+    Args:
+        scores: with their inputs.
+    """
+    asks = () if scores.inputs is None else scores.inputs.evaluator.benchmark.asks
+    return TableHandoverEnv if "pick" in asks else HandoverEnv
+
+
+def play(
+    env: HandoverEnv, policy: Callable[..., Any], look: Callable[[], None] = lambda: None
+) -> Episodes:
     """Runs all episodes to their ends.
 
     Args:
         env: whose action is what the policy says (`kind_of_action`).
-        policy: a function of an observation, or a class that is made with the environment first.
+        policy: a function of an observation, or a class that is made with the environment first. A built-in one picks by
+            `Picks` where the episode begins at the table.
+        look: is called at the beginning and after each step.
     """
     observation = env.begin()
     act = policy(env) if isinstance(policy, type) else policy
+    if isinstance(env, TableHandoverEnv) and isinstance(act, (Planned, Replan)):
+        act = Picks(env, act)
+    look()
     while bool((env.ends == int(End.RUNNING)).any()):
         observation, *_ = env.advance(act(observation))
+        look()
     return env.episodes()
 
 
@@ -58,6 +79,18 @@ class Loop:
     motion: ReceiverMotion
     policy: str
     config: LoopConfig
+    of_benchmark: bool = False
+    """nobody asked for a horizon: it is the benchmark's"""
+
+    def on(self, benchmark: Benchmark) -> "Loop":
+        """The loop with the horizon of a benchmark, where nobody asked for one.
+
+        Args:
+            benchmark: whose trials are played.
+        """
+        if not self.of_benchmark or "pick" not in benchmark.asks:
+            return self
+        return replace(self, config=replace(self.config, horizon_s=TABLE_HORIZON_S))
 
     @property
     def identity(self) -> str:
@@ -105,8 +138,9 @@ class Loop:
         policy, _ = policy_of(self.policy)
         parts = []
         for i in range(0, len(scores), AT_ONCE):
-            env = HandoverEnv(
-                scores[i : i + AT_ONCE],
+            part = scores[i : i + AT_ONCE]
+            env = env_class(part)(
+                part,
                 self.motion,
                 config=self.config,
                 action=kind_of_action(policy),  # type: ignore[arg-type]

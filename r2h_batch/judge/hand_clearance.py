@@ -28,7 +28,7 @@ class PosedHand:
 
     @property
     def points(self) -> Float32[Tensor, "b p 3"]:
-        """Of the convex pieces, each row in a frame of its own, m."""
+        """Points of the convex pieces, each row in a frame of its own, m."""
         points: Tensor = self.owners[0]
         return points
 

@@ -4,7 +4,7 @@ gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; a cr
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.judge.goal import failed_clearance
@@ -32,7 +32,7 @@ from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight
 from r2h_batch.kernels.judge.rows import usable_rows
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.resting import among, with_resting, without
+from r2h_batch.scene.resting import FAR_M, among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 from r2h_batch.verdicts import PickReason
@@ -75,6 +75,9 @@ class Picked:
     way_in: Float32[Tensor, "b k j"]
     way_up: Float32[Tensor, "b k j"]
 
+    def __getitem__(self, rows: Any) -> "Picked":
+        return Picked(*(getattr(self, f.name)[rows] for f in fields(Picked)))
+
     @property
     def lifted(self) -> Float32[Tensor, "b j"]:
         """The posture at the end of the lift, rad, of the branch that passed; NaN without one. Carrying begins there."""
@@ -107,7 +110,7 @@ def picked(
     check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
     check_indices(scene, trials)
     one_thread = one_torch_thread(torch.device(scene.device))
-    with one_thread, progress("picked", len(trials), "trials") as told:
+    with one_thread, busy("picks"), progress("picked", len(trials), "trials") as told:
         return judge_picks(scene, T_obj_ee, T_world_obj, trials, told=told)
 
 
@@ -130,6 +133,28 @@ def judge_picks(
         grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
         parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS], paths).judged())
         told(len(grasp))
+    return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
+
+
+def follow_picks(
+    scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, planned: Picked
+) -> Picked:
+    """Picks that were planned in a world that somebody believed in, judged in this one as the arm makes them.
+
+    A row that was not picked there stays as it is: the arm does not move.
+
+    Args:
+        scene: the true one.
+        T_obj_ee: (B, 4, 4) the grasps in the true objects' frames, m.
+        T_world_obj: (B, 4, 4) where the true objects rest, m.
+        trials: the true B trials.
+        planned: what was planned.
+    """
+    parts = []
+    for i in range(0, max(len(trials), 1), ROWS):
+        own = slice(i, i + ROWS)
+        batch = _Batch.of(scene, T_obj_ee[own], T_world_obj[own], trials[own], paths=True)
+        parts.append(batch.followed(planned[own]))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
 
@@ -306,6 +331,49 @@ class _Batch:
             way_up=spread(rest.way_up, torch.nan),
         )
 
+    def followed(self, planned: Picked) -> Picked:
+        """`follow_picks` of these rows."""
+        rows = torch.nonzero(self.active & planned.picked).flatten()
+        if not len(rows):
+            return planned
+        made = self.some(rows)._made(planned[rows])
+        out = planned[
+            torch.arange(len(planned.picked), dtype=torch.int64, device=rows.device)
+        ]  # copies
+        for f in fields(Picked):
+            getattr(out, f.name)[rows] = getattr(made, f.name)
+        return out
+
+    def _made(self, planned: Picked) -> Picked:
+        """These rows, which were picked where they were planned, stage by stage."""
+        scene, limits, every = self.scene, self.scene.config.thresholds, self._every
+        at_grasp = planned.way_in[:, -1].contiguous()
+        stages = _Stages(self)
+        touching = self._gripper_at(every, at_grasp)
+        stages.fail(touching.clearance_m <= 0, PickReason.GRASP_COLLIDES, touching)
+        approach = self._approach(every, planned.way_in, depths=True)
+        stages.fail(approach.clearance_m <= 0, PickReason.APPROACH_COLLIDES, approach)
+        entered = self._entered(stages.left)
+        stages.fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
+        grasp = close_gripper(
+            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
+            mode=scene.config.width, known=True,
+        )  # fmt: skip
+        held = _margin(grasp.margin_m)
+        stages.fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
+        stages.fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
+        closing = self._closing(grasp, at_grasp, stages.left)
+        stages.fail(closing.clearance_m <= 0, PickReason.CLOSING_COLLIDES, closing)
+        lift = self._lift(grasp, every, planned.way_up, depths=True)
+        stages.fail(lift.clearance_m <= 0, PickReason.LIFT_COLLIDES, lift)
+        way = self._clear_of(every, planned.path, planned.length)
+        stages.fail(way.clearance_m <= 0, PickReason.PATH_COLLIDES, way)
+        stages.pass_by(touching, approach, entered, held, closing, lift, way)
+        return replace(
+            planned, picked=stages.left, reason=stages.reason.to(torch.int32), margin_m=stages.found.clearance_m,
+            pair=stages.found.pair, body=stages.found.body,
+        )  # fmt: skip
+
     def _from_here(self, q: Tensor, valid: Tensor) -> Picked:
         """The stages after the first two, of rows that pass those; q, valid: (B, 8) branches at the grasp."""
         scene = self.scene
@@ -315,16 +383,8 @@ class _Batch:
             mode=scene.config.width, known=True,
         )  # fmt: skip
         tried = self._tried(grasp, q, valid)
-        found = _margin(torch.full_like(self.T_world_ee[:, 0, 0], CUT_CAP_M))
-        reason = torch.zeros_like(self.objects)
-        left = torch.ones_like(self.active)
-
-        def fail(rows: Tensor, why: PickReason, by: _Nearest) -> None:
-            nonlocal found, reason, left
-            rows = rows & left
-            reason = torch.where(rows, int(why), reason)
-            found = _Nearest(*(torch.where(rows, y, x) for x, y in zip(found, by, strict=True)))
-            left = left & ~rows
+        stages = _Stages(self)
+        fail = stages.fail
 
         some = tried.whole.any(1)
         short = 2 * (STEPS[-1] + 1) - tried.followed
@@ -332,22 +392,22 @@ class _Batch:
 
         # straight in
         walked = tried.approach.clearance_m > 0
-        blocked, least_bad = self._blocked_approach(tried, left & ~walked.any(1))
+        blocked, least_bad = self._blocked_approach(tried, stages.left & ~walked.any(1))
         fail(~walked.any(1), PickReason.APPROACH_COLLIDES, blocked)
-        entered = self._entered(left)
+        entered = self._entered(stages.left)
         fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
 
         # close
         held = _margin(grasp.margin_m)
         fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
         fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
-        closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], left)
+        closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], stages.left)
         fail(closing.clearance_m <= 0, PickReason.CLOSING_COLLIDES, closing)
 
         # straight up
         up = walked & (tried.lift.clearance_m > 0)
         widest = tried.approach.clearance_m.argmax(1)
-        fails = left & ~up.any(1)
+        fails = stages.left & ~up.any(1)
         fail(fails, PickReason.LIFT_COLLIDES, self._blocked_lift(grasp, tried, widest, fails))
 
         # home to 10 cm before the grasp
@@ -361,13 +421,14 @@ class _Batch:
         first = torch.where(walked.any(1), widest, least_bad)
         slot = torch.where(up.any(1), up.to(torch.int8).argmax(1), first)
         slot = torch.where(tried.slot >= 0, tried.slot.long(), slot)
-        for by in (entered, held, closing, tried.approach.at(slot), tried.lift.at(slot), tried.way):
-            nearer = found.nearer(by)
-            found = _Nearest(*(torch.where(left, y, x) for x, y in zip(found, nearer, strict=True)))
+        stages.pass_by(
+            entered, held, closing, tried.approach.at(slot), tried.lift.at(slot), tried.way
+        )
+        found, left = stages.found, stages.left
         ways = [_of_slot(x, slot, some) for x in (tried.way_in, tried.way_up)]
         return Picked(
             picked=left,
-            reason=reason.to(torch.int32),
+            reason=stages.reason.to(torch.int32),
             margin_m=found.clearance_m,
             pair=found.pair,
             body=found.body,
@@ -650,11 +711,43 @@ class _Batch:
             torch.where(at_posture[:, None], home, path[:, 0]),
         )
         length = torch.where(at_posture, 1, plan.length).to(torch.int32)
+        return plan, self._clear_of(rows, path, length)
+
+    def _clear_of(self, rows: Tensor, path: Tensor, length: Tensor) -> _Nearest:
+        """Smallest clearances (R,) of the empty robot along paths from home: from the resting object, and from all else."""
         found = []
         for world in (self._empty, self._resting):
-            poses = self._bodies(world, rows, open_m)
-            found.append(_Nearest(*path_clearances(scene, poses, path, length, cap_m=CUT_CAP_M)))
-        return plan, found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
+            poses = self._bodies(world, rows, self._open(rows))
+            found.append(
+                _Nearest(*path_clearances(self.scene, poses, path, length, cap_m=CUT_CAP_M))
+            )
+        return found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
+
+
+class _Stages:
+    """The first stage of each row that fails, and what its margin is about; rows that are `left` have passed all so far."""
+
+    def __init__(self, batch: _Batch) -> None:
+        self.found = _margin(torch.full_like(batch.T_world_ee[:, 0, 0], CUT_CAP_M))
+        self.reason = torch.zeros_like(batch.objects)
+        self.left = torch.ones_like(batch.active)
+
+    def fail(self, rows: Tensor, why: PickReason, by: _Nearest) -> None:
+        """Rows fail here that have not failed before."""
+        rows = rows & self.left
+        self.reason = torch.where(rows, int(why), self.reason)
+        self._put(rows, by)
+        self.left = self.left & ~rows
+
+    def pass_by(self, *stages: _Nearest) -> None:
+        """The smallest of these is the margin of rows that have passed them all."""
+        for by in stages:
+            self._put(self.left, self.found.nearer(by))
+
+    def _put(self, rows: Tensor, by: _Nearest) -> None:
+        self.found = _Nearest(
+            *(torch.where(rows, y, x) for x, y in zip(self.found, by, strict=True))
+        )
 
 
 def _deeper(met: _Nearest, known: _Nearest) -> _Nearest:
@@ -680,3 +773,33 @@ def gripper_radii(scene: Scene) -> Tensor:
     axis, radius = (getattr(scene.world, k).numpy()[first:] for k in ("cap_axis", "cap_radius"))
     far = np.sqrt((axis * axis).sum(1)) + radius
     return torch.from_numpy(far.astype(np.float64)).to(scene.device)
+
+
+def closing_room(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    T_world_obj: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    q: Float32[Tensor, "b j"],
+) -> Float32[Tensor, " b"]:
+    """The stage `closing_collides` alone, with nobody about: what the closing fingers keep from the table at postures, less
+    where closing pushes the object into it (m); above 0 passes.
+
+    Args:
+        scene: robot, objects and table.
+        T_obj_ee: (B, 4, 4) where the gripper closes, the ee in the object's frame, m.
+        T_world_obj: (B, 4, 4) where the objects rest, m.
+        object_index: (B,) which objects.
+        q: (B, J) postures at which it closes, rad.
+    """
+    nobody = torch.eye(4, dtype=torch.float32, device=q.device).repeat(len(q), 1, 1)
+    nobody[:, 0, 3] = FAR_M
+    number = torch.arange(len(q), dtype=torch.int64, device=q.device)
+    trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
+    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials, paths=False)
+    limits = scene.config.thresholds
+    grasp = close_gripper(
+        scene.grasp_tables, batch.T_obj_ee.contiguous(), batch.objects, w_max=limits.w_max_m,
+        w_min=limits.w_min_m, mode=scene.config.width, known=True,
+    )  # fmt: skip
+    return batch._closing(grasp, q, batch.active).clearance_m

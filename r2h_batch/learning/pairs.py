@@ -14,6 +14,7 @@ from torch import Tensor
 from torch.utils.data import IterableDataset, get_worker_info
 
 from r2h_batch.base import rng
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.validate import (
     check_arguments,
     instance_of,
@@ -206,8 +207,12 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             indices = [i for i in range(at, at + many * step, step) if end is None or i < end]
             for _, own in groupby(indices, lambda i: i // self.renew if self.renew else 0):
                 some = list(own)
-                for i, drawn in zip(some, self._drawn(some), strict=True):
-                    yield self._item(i, drawn)
+                with busy("an item of pairs"):
+                    every = self._drawn(some)
+                for i, drawn in zip(some, every, strict=True):
+                    with busy("an item of pairs"):
+                        item = self._item(i, drawn)
+                    yield item
             at += many * step
 
     def item(self, index: int) -> dict[str, Tensor]:
@@ -217,7 +222,8 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
             index: 0, 1, 2, ...
         """
         index = integer(0)("index", index)
-        return self._item(index, *self._drawn([index]))
+        with busy("an item of pairs"):
+            return self._item(index, *self._drawn([index]))
 
     def _drawn(self, indices: Sequence[int]) -> list[Trials]:
         """The trials of each of these items, which have the same instances."""
@@ -318,6 +324,7 @@ def pairs_at_random(
     renew=integer(0),
     workers=optional(integer(0, MOST_WORKERS)),
 )
+@busy("a stream of pairs")
 def stream(
     benchmark: Benchmark,
     families: str | Sequence[ObjectModel] = "* x 8 seed 5",

@@ -6,10 +6,8 @@ takes it are sampled on that solid. The target hand is a hand of the benchmark i
 says. The person has no arm and no torso.
 """
 
-import gc
 import hashlib
 import inspect
-import itertools
 import time
 import warnings
 from collections import OrderedDict
@@ -29,16 +27,18 @@ from r2h_batch.config import OBJECT_ERRORS, EvalConfig, ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.grasps import NoGraspError, sample_grasps
 from r2h_batch.methods.predictors import Observations, PredictorNoise
-from r2h_batch.methods.predictors.external_predictions import ExternalHands
+from r2h_batch.methods.predictors.external_predictions import ExternalHands, ExternalPoints
+from r2h_batch.methods.predictors.grid import contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import load_axes_network
 from r2h_batch.methods.robust import Sizes
+from r2h_batch.observe.believed_object import KEPT_SOLIDS, believed_object
+from r2h_batch.observe.believed_world import ROOM_M
 from r2h_batch.observe.seeing import Level
-from r2h_batch.observe.seen import Observation, Receiver, packed
-from r2h_batch.observe.solid import completed, region_of_faces, views_of
+from r2h_batch.observe.seen import Observation, Receiver
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import HandGeometry, HandModel, HandSet, palm_frame
-from r2h_batch.scene.objects import ObjectModel, build_object
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.sampler import NoHoldError, sample_receiving
@@ -54,16 +54,8 @@ SOLID_M, SOLID_DEG = (0.002, 0.002), (1.0, 1.0)
 2 mm with exact images, by 4 mm with errors."""
 _GRASP, _RECEIVING = 0, 1  # purposes of the random counters
 
-KEPT_SOLIDS = 256
-"""Solids that stay for the next method of a sweep: 0.7 of the 1.5 CPU seconds that FC takes for a trial, 0.3 MB each."""
-SOLIDS: OrderedDict[tuple[str, Robot], tuple[ObjectModel, NDArray[np.float64]] | None] = (
-    OrderedDict()
-)
-
-GARBAGE_AFTER = 16
-"""Solids that are built before garbage is looked for. Each leaves 15 MB of meshes that refer to each other in circles, and Python
-itself looks for those too seldom: 900 MB in 80 trials. So it is 240 MB at most, for 1.5 % of a solid's 0.7 CPU seconds."""
-_BUILT = itertools.count(1)
+CONTACTS: OrderedDict[str, NDArray[np.float32]] = OrderedDict()
+"""Digest of a solid's surface -> where the contact network expects people's hands on it."""
 
 Method = Callable[..., Predictions]
 
@@ -151,18 +143,25 @@ class AskedHere:
         found = dict(self._options)
         if "noise" in self._takes:
             found["noise"] = self._noise
-        if "seen" in self._takes:
-            found["seen"] = world.receiving
+        seen = world.receiving
         if "predictor" in self._takes:
             found["predictor"] = contacts_of_any
+            if not found.get("cameras"):  # else the network is shown less than the solid
+                on = np.stack([contacts_on(model) for model in world.scene.objects])
+                seen = replace(
+                    seen, contacts=ExternalPoints("seen solid", None, {"probability": on})
+                )
+        if "seen" in self._takes:
+            found["seen"] = seen
         if "T_world_obj" in self._takes and "pick" in world.scene.benchmark.asks:
             found["T_world_obj"] = world.T_world_obj.float()
         if "sizes" in self._takes:
             found["sizes"] = self._sizes
         if "evaluator" in self._takes:
-            found["evaluator"] = Evaluator(
+            judge = Evaluator(
                 world.scene.benchmark, world.scene.config, device="cpu", threads=self._threads
             )
+            found["evaluator"] = judge.in_scene(world.scene)
         return found
 
 
@@ -200,6 +199,26 @@ def contacts_of_any(grid: Float32[Tensor, "1 5 64 64 64"]) -> Float32[Tensor, "1
     """
     found: Tensor = load_axes_network()(grid)
     return found
+
+
+def contacts_on(model: ObjectModel) -> Float32[np.ndarray, " p"]:
+    """Probability of each point of an object's cloud that a hand is there, as the built-in network says. A surface that
+    has come before is not asked again.
+
+    Args:
+        model: a believed object.
+    """
+    surface = model.voxels, model.voxel_origin, np.float64(model.voxel_pitch), model.points
+    digest = hashlib.sha256(
+        b"".join(np.ascontiguousarray(x).tobytes() for x in surface)
+    ).hexdigest()
+    if digest not in CONTACTS:
+        i, j, k = voxel_of_points(model).T
+        with torch.no_grad():
+            CONTACTS[digest] = contacts_of_any(contact_grids([model]))[0, i, j, k].numpy()
+        while len(CONTACTS) > KEPT_SOLIDS:
+            CONTACTS.popitem(last=False)
+    return CONTACTS[digest]
 
 
 def believed(
@@ -246,7 +265,9 @@ def believed(
     names = {o.name: o for o in objects}
     index = [list(names).index(o.name) for o in objects]
     own = replace(benchmark, objects=tuple(names.values()), hand_set=hands)
-    scene = Scene(own, config=config)
+    # planning keeps this room too, where it believes what was seen
+    room = ROOM_M if "pick" in benchmark.asks else 0.0
+    scene = Scene(own, config=config, hand_room_m=room)
     receiver = replace(seen.receiver, **{k: x.cpu()[row] for k, x in vars(seen.receiver).items()})
     key = seen.key.cpu()[row]
     hand_index, T_world_hand = _placed(scene, receiver)
@@ -344,86 +365,22 @@ def _object(
 ) -> tuple[ObjectModel, Float64[np.ndarray, "4 4"]] | None:
     """The object of a trial as it is believed to be, with its candidates, and where its frame lies in the world; None: there is
     none, or the gripper cannot hold it."""
-    if seen.known is not None:
-        known, k = seen.known, int(seen.known.mesh[row])
-        T = known.T_world_obj[row].double().cpu().numpy()
-        vertices, faces = known.vertices[k].cpu().numpy(), known.faces[k].cpu().numpy()
-        told = b""
-        if seen.region is not None:
-            placed = vertices.astype(np.float64) @ T[:3, :3].T + T[:3, 3]
-            told = region_of_faces(views_of(seen, row), placed, faces).tobytes()
-        digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + told).hexdigest()
-        model = _known(f"known_{digest[:16]}", vertices.tobytes(), faces.tobytes(), told, robot)
-        return None if model is None else (model, T)
-    shown = packed(seen[row : row + 1])
-    digest = (
-        hashlib.sha256(  # the key too: it is of all images, and draws of the solid follow from it
-            b"".join(
-                v.tobytes()
-                for k, v in shown.items()
-                if k.startswith(("object", "T_", "key", "region"))
-            )
-        ).hexdigest()
-    )
-    if (digest, robot) not in SOLIDS:
-        while len(SOLIDS) >= KEPT_SOLIDS:
-            SOLIDS.popitem(last=False)
-        SOLIDS[digest, robot] = _of_images(seen, row, robot)
-    return SOLIDS[digest, robot]
-
-
-def _of_images(
-    seen: Observation, row: int, robot: Robot
-) -> tuple[ObjectModel, Float64[np.ndarray, "4 4"]] | None:
-    """The completed solid of a trial, and where its frame lies: level, about the middle of its box."""
-    solid = completed(seen, row)
-    if solid is None:
+    found = believed_object(seen, row)
+    if found is None:
         return None
-    T = np.eye(4)
-    T[:3, 3] = 0.5 * (solid.vertices.min(0) + solid.vertices.max(0))
-    name = f"seen_{int(seen.key[row]):016x}"
-    model = _with_grasps(name, solid.vertices - T[:3, 3], solid.faces, solid.region, robot)
-    return None if model is None else (model, T)
+    model = with_grasps(found[0], robot)
+    return None if model is None else (model, found[1])
 
 
-@lru_cache(maxsize=256)
-def _known(
-    name: str, vertices: bytes, faces: bytes, told: bytes, robot: Robot
-) -> ObjectModel | None:
-    """A known mesh with its candidates: in most trials it has come before, if no region is told."""
-    v = np.frombuffer(vertices, np.float32).reshape(-1, 3)
-    f = np.frombuffer(faces, np.int32).reshape(-1, 3)
-    region = np.frombuffer(told, bool) if told else None
-    return _with_grasps(name, v.astype(np.float64), f, region, robot)
-
-
-def _with_grasps(
-    name: str,
-    vertices: NDArray[np.float64],
-    faces: NDArray[Any],
-    region: NDArray[np.bool_] | None,
-    robot: Robot,
-) -> ObjectModel | None:
-    """An object with candidates for the robot's gripper, of one part, or of two where it has a told region and more; None: the
-    gripper can hold it nowhere."""
-    import trimesh
-
-    parts: dict[str, Any] = {}
-    if region is not None and region.any() and not region.all():
-        parts = {
-            "split": "S1", "receiver": region, "face_part": region.astype(np.uint8), "part_names": ("body", "region"),
-        }  # fmt: skip
+@lru_cache(maxsize=KEPT_SOLIDS)
+def with_grasps(model: ObjectModel, robot: Robot) -> ObjectModel | None:
+    """An object with candidates for the robot's gripper; None: the gripper can hold it nowhere."""
     with warnings.catch_warnings():  # a repair of what was seen is no user's business
         warnings.simplefilter("ignore")
-        mesh = trimesh.Trimesh(vertices, faces, process=False)
-        model = build_object(mesh, name=name, pieces=False, **parts)
         try:
             found = sample_grasps(model, robot, enough=GRASPS_ENOUGH)
         except NoGraspError:
             return None
-        finally:
-            if next(_BUILT) % GARBAGE_AFTER == 0:
-                gc.collect()
     gripper = "2f-85" if robot.linkage.table is None else robot.name.replace("_", "-")
     grasps = GraspSet(
         found.T_obj_ee, found.width, found.score, found.part.astype(np.int32), gripper
@@ -451,7 +408,7 @@ def _hold(
     return {"T": T[0].numpy(), "pose": held["pose"][k], "shape": held["shape"][k]}
 
 
-@lru_cache(maxsize=256)
+@lru_cache(maxsize=KEPT_SOLIDS)
 def holds_on(model: ObjectModel, hand: HandModel, side: int) -> dict[str, NDArray[Any]] | None:
     """Hands of one side on an object."""
     try:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
+from r2h_batch.base.io.progress import busy
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.methods.grasps import ENOUGH as SAMPLED
 from r2h_batch.methods.grasps import (
@@ -80,6 +81,7 @@ def candidates_in(scene: Scene) -> tuple[Candidates, ...]:
 
 
 @lru_cache(maxsize=8)
+@busy("grasp candidates")
 def candidates_of(
     objects: tuple[ObjectModel, ...], kind: CandidateKind = "filtered", robot: Robot | None = None
 ) -> tuple[Candidates, ...]:

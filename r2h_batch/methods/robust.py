@@ -77,8 +77,12 @@ def predict(
     evaluator = evaluator.kinematic
     n, home = len(trials), trials.trial_id.device
     trials = trials.to(scene.device)
+    bare = evaluator
+    if evaluator.scene.hand_room_m:  # it is for errors that are not drawn
+        bare = evaluator.in_scene(Scene(scene.benchmark, scene.device, config=scene.config))
     if T_world_obj is not None:
-        known_moments(evaluator.scene).tell(trials, T_world_obj.to(scene.device))
+        for judge in (evaluator, bare):
+            known_moments(judge.scene).tell(trials, T_world_obj.to(scene.device))
     fan = Fan(trials, evaluator, seed)
     best = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
     T_obj_ee, T_world_ee = (
@@ -93,7 +97,7 @@ def predict(
         value, solved = how_far(scores), torch.nonzero(scores.success)[:, 0]
         if len(solved):
             held = holding(
-                evaluator, trials[todo[solved]], grasp[solved], pose[solved], sizes, draws, seed
+                bare, trials[todo[solved]], grasp[solved], pose[solved], sizes, draws, seed
             )
             # beyond every failure
             value[solved] += held.double()
@@ -127,9 +131,11 @@ def holding(
         draws: number of errors.
         seed: of the errors.
     """
-    held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
     known = known_moments(evaluator.scene)
     resting = known.of(trials) if "pick" in evaluator.benchmark.asks else None
+    held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+    grasps: list[Tensor] = []
+    hands: list[Tensor] = []
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
@@ -139,11 +145,19 @@ def holding(
         hand = estimated_hand(
             evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
         )  # fmt: skip
-        moved = replace(trials, T_world_hand=hand)
+        grasps.append(grasp)
+        hands.append(hand)
         if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
+            moved = replace(trials, T_world_hand=hand)
             T_obj_moved = se3.matmul(T_obj_ee.double(), se3.inverse(grasp.double()))
             known.tell(moved, se3.matmul(resting.double(), T_obj_moved).float())
-        held += evaluator.score(grasp, T_world_ee, moved).success
+            held += evaluator.score(grasp, T_world_ee, moved).success
     if resting is not None:  # a draw may leave the hand where it was
         known.tell(trials, resting)
+    elif draws:  # all at once: a call for few rows costs as much as for many
+        every = torch.arange(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+        rows = every.repeat(draws)
+        moved = replace(trials[rows], T_world_hand=torch.cat(hands))
+        scores = evaluator.score(torch.cat(grasps), T_world_ee[rows], moved)
+        held += scores.success.reshape(draws, -1).sum(0)
     return held

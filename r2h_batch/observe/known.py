@@ -35,6 +35,15 @@ class KnownMoments:
         """
         self._told |= zip(_keys(trials), T_world_obj, strict=True)
 
+    def forget(self, trials: Trials) -> None:
+        """Drops what was told of trials.
+
+        Args:
+            trials: N trials.
+        """
+        for key in _keys(trials):
+            self._told.pop(key, None)
+
     def of(self, trials: Trials) -> Float32[Tensor, "n 4 4"]:
         """As `moments`, but for trials that were told.
 

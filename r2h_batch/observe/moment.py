@@ -11,6 +11,7 @@ from torch import Tensor
 
 from r2h_batch.base import rng, se3
 from r2h_batch.base.errors import UserError
+from r2h_batch.base.io.progress import busy
 from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.seen import LABELS
@@ -37,6 +38,7 @@ _PLACE = 0  # purpose of the random counters
 Array = NDArray[np.float64]
 
 
+@busy("resting places of objects")
 def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "n 4 4"]:
     """Where the objects of trials lie when they are seen.
 

@@ -3,13 +3,14 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any, get_args
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, get_args
 
 from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.base.errors import UsageError, nearest
+from r2h_batch.base.io.read import printable
 from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.moment import moments
 from r2h_batch.observe.rig import RIGS, Rig, load_rig
@@ -18,6 +19,9 @@ from r2h_batch.observe.seen import Observation
 from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Masks
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
+
+if TYPE_CHECKING:
+    from r2h_batch.protocols.benchmark import Benchmark
 
 MOST_SEED = 10**12
 FORM = (
@@ -37,6 +41,7 @@ class Sees:
         model: None: objects are not known; else the level of their poses' error.
         seed: of errors, and of moments where the benchmark has none of its own.
         region: whether the receiver's region is told.
+        plans: whether arms are planned in what is seen, too: where a benchmark asks for Pick.
     """
 
     rig: Rig
@@ -45,6 +50,7 @@ class Sees:
     model: Level | None = None
     seed: int = 0
     region: Region = "hidden"
+    plans: bool = False
 
     @classmethod
     def parse(cls, text: str) -> "Sees":
@@ -105,12 +111,42 @@ class Sees:
             "object": self.model or "unknown",
             "seed": self.seed,
             **told,
+            **({"plans": "seen"} if self.plans else {}),
         }
 
     @property
     def digest(self) -> str:
         """sha256 (hex) of the identity."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
+
+    def on(self, benchmark: "Benchmark") -> "Sees":
+        """The same sight, by which arms are planned too where the benchmark asks for Pick.
+
+        Args:
+            benchmark: whose trials are seen.
+        """
+        return replace(self, plans="pick" in benchmark.asks)
+
+    @classmethod
+    def planning(cls, header: Mapping[str, Any]) -> "Sees | None":
+        """The sight by which a run's arms were planned; None: planning knew the truth.
+
+        Args:
+            header: run.json.
+
+        Raises:
+            UsageError: one line: the cameras are in a file of the user's, which is not opened.
+        """
+        said = header.get("sees")
+        if not isinstance(said, dict) or said.get("plans") != "seen":
+            return None
+        found = cls.of_run(header)
+        if found is None:
+            raise UsageError(
+                f"its arms were planned by what the rig {printable(said.get('rig'))} saw, a file that is not opened again;"
+                f" only runs of {', '.join(RIGS)} can be judged again"
+            )
+        return found
 
     @classmethod
     def of_run(cls, header: Mapping[str, Any]) -> "Sees | None":
@@ -131,6 +167,7 @@ class Sees:
             words |= {"model": "known", "object": said["object"]}
         options = (f"{k}={v}" for k, v in words.items() if v is not None)
         found = cls.parse(",".join([said["rig"], *options]))
+        found = replace(found, plans=said.get("plans") == "seen")
         return found if found.rig.digest == said.get("rig_digest") else None
 
     def look(self, scene: Scene, trials: Trials) -> tuple[Observation, Float32[Tensor, "n 4 4"]]:

@@ -37,6 +37,9 @@ PAIR_M, PAIR_ROUNDS = (0.015, 0.005), 12
 SHELL_M = 0.0025
 """Least half thickness of what was seen [choice]: errors of calibration else carve thin things away."""
 
+BORDER_M, ROWS_AT_ONCE = 1e-9, 4096
+"""Nodes this near to the hull are asked again."""
+
 VOTES = 5
 """A face belongs to the region if most of so many nearest told points do [choice]: cameras may disagree at its border."""
 
@@ -308,12 +311,26 @@ def _in_hull(points: F64, table_m: float, nodes: F64) -> NDArray[np.bool_]:
         hull = ConvexHull(np.concatenate([points, shadow]))
     except QhullError:
         return np.zeros(len(nodes), bool)
-    inside = np.ones(len(nodes), bool)
-    for a, b, c, d in np.unique(np.round(hull.equations, 9), axis=0):
-        rows = np.flatnonzero(inside)
-        x, y, z = nodes[rows].T
-        inside[rows] = a * x + b * y + c * z + d <= 0
+    planes = np.unique(np.round(hull.equations, 9), axis=0)
+    low, high = hull.min_bound - 1e-6, hull.max_bound + 1e-6  # planes are rounded
+    rows = np.flatnonzero(((nodes >= low) & (nodes <= high)).all(1))
+    beyond = np.concatenate(
+        [(nodes[few] @ planes[:, :3].T + planes[:, 3]).max(1) for few in _split(rows)]
+    )
+    # the order of a matrix product's sums is nobody's: what is on the border is asked in ours
+    border = np.flatnonzero(np.abs(beyond) < BORDER_M)
+    x, y, z = nodes[rows[border]].T
+    beyond[border] = -np.inf
+    for a, b, c, d in planes:
+        beyond[border] = np.maximum(beyond[border], a * x + b * y + c * z + d)
+    inside = np.zeros(len(nodes), bool)
+    inside[rows[beyond <= 0]] = True
     return inside
+
+
+def _split(rows: NDArray[np.int64]) -> list[NDArray[np.int64]]:
+    """Rows in pieces whose planes fit a processor's cache; one piece at least."""
+    return [rows[i : i + ROWS_AT_ONCE] for i in range(0, max(len(rows), 1), ROWS_AT_ONCE)]
 
 
 def _surface(value: NDArray[np.float64], low: F64, cell: float) -> Solid:

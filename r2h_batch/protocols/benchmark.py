@@ -19,6 +19,7 @@ from jaxtyping import Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base.io.progress import busy
 from r2h_batch.base.registry import LISTED, PRESET_NAMES
 from r2h_batch.base.schedule import SEED, trial_ids
 from r2h_batch.base.validate import (
@@ -266,6 +267,7 @@ class Benchmark:
         ids = trial_ids(plan, 0, sum(plan.values()))
         return self.trials_with_ids(torch.from_numpy(ids))
 
+    @busy("drawing trials")
     def trials_with_ids(self, trial_id: Int64[Tensor, " n"]) -> Trials:
         """The trials of these ids, in this order, on the CPU.
 

@@ -97,8 +97,8 @@ class Standing:
         against: baseline -> the comparison with it.
         digest: sha256 of its rows.
         trained: what it says that it was trained on; empty where it says nothing.
-        answers: built-in method -> share of this method's answers that are its shipped ones or near them; of a method that is
-            not built in.
+        answers: built-in method or baseline -> share of this method's answers that are its stored ones or near them; of a
+            method that is not built in.
         codes: split -> `CODE` characters for each trial in order: 1 or 0 for success, and a hash of its verdict and of its
             margins to 0.01 mm.
     """

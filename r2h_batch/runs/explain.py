@@ -14,7 +14,7 @@ REASONS = {
     "ik_in_collision": "every posture at the target collides",
     "no_path_in_budget": "no path was found in time",
     "not_settled": "the arm did not come to rest",
-    "motion_in_collision": "the given motion collides",
+    "motion_in_collision": "the motion collides",
     "beyond_joint_limits": "a joint goes beyond its limit",
     "beyond_speed_limits": "a joint turns faster than it can",
     "ik_not_found": "no posture was found at the target",
@@ -55,6 +55,7 @@ PICKS = {
     "start_in_collision": "the arm collides at home",
     "before_collides": "every posture before the grasp meets the object",
     "no_path_in_budget": "no path to the object was found in time",
+    "path_collides": "the path to the object, planned in what was seen, meets something",
 }
 """Pick's reasons in words."""
 FAILS = {

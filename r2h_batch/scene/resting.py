@@ -88,7 +88,7 @@ def among(
 
 def without(
     scene: Scene, body_poses: BodyPoses, *, attached: bool = False, table: bool = False,
-    gripper: bool = False, arm: bool = False, others: bool = False,
+    gripper: bool = False, arm: bool = False, person: bool = False, others: bool = False,
 ) -> BodyPoses:  # fmt: skip
     """The same trials without some of their bodies.
 
@@ -99,6 +99,7 @@ def without(
         table: without the table.
         gripper: without the gripper, which then meets nothing.
         arm: the gripper alone, without the links before it.
+        person: without hand and person.
         others: without hand, person and pairs of the robot with itself.
     """
     world: Any = scene.sized(World)()
@@ -116,7 +117,7 @@ def without(
         if arm:
             first[:-1] = first[-2]
         world.link_first = wp.array(first, dtype=wp.int32, device=scene.device)
-    if others:
+    if others or person:
         hands = base.hand_center.shape[0]
         world.n_pieces = 0
         world.hand_center = wp.full(

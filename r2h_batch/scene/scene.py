@@ -63,6 +63,7 @@ class Scene:
         benchmark: its objects, hands, robot, limits and workplace.
         device: `cpu`, `cuda` or `cuda:N`.
         config: planning and motion; None: the default preset.
+        hand_room_m: planning keeps this far from hands, m: where it does not know how they stand.
     """
 
     def __init__(
@@ -71,7 +72,9 @@ class Scene:
         device: str | torch.device = "cpu",
         *,
         config: EvalConfig | None = None,
+        hand_room_m: float = 0.0,
     ) -> None:
+        self.hand_room_m = hand_room_m
         self.device = checked_device(device)
         optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
             "config", config
@@ -127,7 +130,7 @@ class Scene:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuilt from benchmark and configuration: tables on a device do not travel."""
-        return _scene_of, (self.benchmark, self.device, self.config)
+        return _scene_of, (self.benchmark, self.device, self.config, self.hand_room_m)
 
     def __copy__(self) -> "Scene":
         """Itself: a scene does not change."""
@@ -216,6 +219,7 @@ class Scene:
             self.objects,
             self.config.plan.object_collision,
             self.config.workplace,
+            self.hand_room_m,
         )
 
     @cached_property
@@ -440,9 +444,9 @@ class Scene:
         return BodyPoses(bodies, *owners)
 
 
-def _scene_of(benchmark: "Benchmark", device: str, config: EvalConfig) -> Scene:
+def _scene_of(benchmark: "Benchmark", device: str, config: EvalConfig, hand_room_m: float) -> Scene:
     """The scene that was pickled."""
-    return Scene(benchmark, device, config=config)
+    return Scene(benchmark, device, config=config, hand_room_m=hand_room_m)
 
 
 def _listed(indices: object) -> Iterable[Any]:

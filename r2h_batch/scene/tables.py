@@ -140,7 +140,7 @@ def _of_hull(what: Callable[[NDArray[np.float64]], Any], points: bytes) -> Any:
 
 
 class WorldTables:
-    """Host tables of a scene. `object_collision`: hull or pieces, as in `PlanConfig`."""
+    """Host tables of a scene. `object_collision`: hull or pieces, as in `PlanConfig`. `hand_room_m`: hands are grown by this."""
 
     def __init__(
         self,
@@ -149,8 +149,10 @@ class WorldTables:
         objects: Sequence[ObjectModel],
         object_collision: str,
         workplace: Workplace | None = None,
+        hand_room_m: float = 0.0,
     ) -> None:
         self.robot, self.hands, self.objects = robot, hands, objects
+        self.hand_room_m = hand_room_m
         self.object_collision = object_collision
         self.workplace = workplace or Workplace()
 
@@ -261,6 +263,7 @@ class WorldTables:
         ]
 
     def _fill_hands(self) -> dict:
+        room = self.hand_room_m
         points, start = self.hands.points
         low, high = (f.reduceat(points, start[:-1], axis=0) for f in (np.minimum, np.maximum))
         center = (low + high) / 2
@@ -273,11 +276,11 @@ class WorldTables:
             "n_pieces": (len(self.hands.model.piece_names), wp.int32),
             "piece_start": (self.hands.blocks[1][:-1], wp.int32),
             "piece_blocks": (np.diff(self.hands.blocks[1]) // BLOCK_POINTS, wp.int32),
-            "piece_round": (np.zeros(len(center)), wp.float32),
+            "piece_round": (np.full(len(center), room), wp.float32),
             "piece_center": (center, wp.vec3),
-            "piece_radius": (radius + 1e-6, wp.float32),
+            "piece_radius": (radius + 1e-6 + room, wp.float32),
             "hand_center": (hand_center.T, wp.vec3),
-            "hand_radius": (hand_radius + 1e-6, wp.float32),
+            "hand_radius": (hand_radius + 1e-6 + room, wp.float32),
         }
 
     @cached_property

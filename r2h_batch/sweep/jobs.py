@@ -48,7 +48,9 @@ if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods.predictors import Observations
+    from r2h_batch.observe.sees import Sees
     from r2h_batch.scene.objects import ObjectModel
+    from r2h_batch.sweep.seeing import Looks
     from r2h_batch.trials.noise import Errors
 
 DIGEST_TRIALS = 10_000
@@ -135,14 +137,16 @@ def set_up(request: Request) -> Setting:
     benchmark = request.trials.read(pieces=collision == "pieces")
     plan = request.trials.plan(benchmark)
     config = benchmark.config(request.configuration)
-    setting = prepare(benchmark, plan, config, request.work, request.loop)
+    sees = request.methods.sees and request.methods.sees.on(benchmark)
+    loop = None if request.loop is None else request.loop.on(benchmark)
+    setting = prepare(benchmark, plan, config, request.work, loop, sees)
     setting.header.update(
         benchmark={"flags": request.trials.benchmark.flags()},
         seed=request.methods.seed,
         predictors=request.methods.about_predictors(),
         stored=request.storage.kinds,
     )
-    if (sees := request.methods.sees) is not None:
+    if sees is not None:
         setting.header["sees"] = sees.identity
         setting.header["digests"]["sees"] = sees.digest
     if request.left_out:
@@ -156,6 +160,7 @@ def prepare(
     config: "EvalConfig",
     work: Work,
     loop: "Loop | None",
+    sees: "Sees | None" = None,
 ) -> Setting:
     """The setting of a plan (split -> trials of it); its header lacks what it does not depend on."""
     import platform
@@ -167,7 +172,10 @@ def prepare(
 
     count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects
     first_trials = benchmark.trials(count, splits=list(plan))
-    evaluator = Evaluator(benchmark, config, device=work.device, threads=work.threads)
+    evaluator = Evaluator(
+        benchmark, config, device=work.device, threads=work.threads,
+        plans_in=sees if sees is not None and sees.plans else None,
+    )  # fmt: skip
     robot, execute = benchmark.robot, config.execute
     about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
     if robot.ik_missed and robot.family != "ur":
@@ -257,7 +265,13 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
     seen = _seen(methods.seen, setting)
     if any(base_of(name) in METHOD_NAMES for name in methods.names):
         check_grasps(setting.evaluator.scene, methods.allow_empty_candidates)
-    jobs = [_method_job(name, setting.evaluator, methods, seen) for name in methods.names]
+    looks = None
+    if methods.sees is not None:
+        from r2h_batch.sweep.seeing import KEPT_TRIALS, Looks
+
+        kept = KEPT_TRIALS if len(methods.names) > 1 else 0
+        looks = Looks(methods.sees, setting.evaluator, kept)
+    jobs = [_method_job(name, setting.evaluator, methods, seen, looks) for name in methods.names]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
         predictions, motions = answers.predictions, answers.motions
@@ -389,7 +403,11 @@ def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
 
 
 def _method_job(
-    name: str, evaluator: "Evaluator", methods: Methods, seen: "Observations | None" = None
+    name: str,
+    evaluator: "Evaluator",
+    methods: Methods,
+    seen: "Observations | None" = None,
+    looks: "Looks | None" = None,
 ) -> Job:
     method, method_options = _method(name, seeing=methods.sees is not None), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
@@ -415,18 +433,16 @@ def _method_job(
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
-    if methods.sees is not None:
+    if looks is not None:
         from r2h_batch.sweep.seeing import SeeingMethod
 
         if built_in:
             more = f"; {method_options}" if method_options else ""
             title = f"{getattr(module, 'TITLE', base_of(name))} (seen{more})"
-            asked = SeeingMethod.built_in(
-                title, method.found.function, sees, extra, methods.sees, evaluator
-            )
+            asked = SeeingMethod.built_in(title, method.found.function, sees, extra, looks)
             lines: tuple[str, ...] = ()
         else:
-            asked = SeeingMethod.apart(title, base_of(name), extra, methods.sees, evaluator)
+            asked = SeeingMethod.apart(title, base_of(name), extra, looks)
             lines = _not_compared(title, method.found.module, files)
         return Job(
             title, source, lambda trials, _: asked.predict(trials), lines=lines, looked=asked.looked
@@ -540,6 +556,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         NotBuiltIn: a method or files of the user's answered.
         UsageError: the built-in method takes no such options.
     """
+    from r2h_batch.observe.sees import Sees
     from r2h_batch.trials.noise import Errors
 
     predictors = header.get("predictors", {})
@@ -558,11 +575,15 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
     given = {part.partition("=")[0].strip() for part in method_options.split(",")}
     if own := given & {*METHODS[word].files}:
         raise NotBuiltIn(f"{', '.join(own)} came from a file of its own, which is not opened")
+    sees = Sees.of_run(header)
+    if sees is None and header.get("sees") is not None:
+        raise NotBuiltIn("it saw by cameras of a file of its own, which is not opened")
     noise_factor = predictors.get("noise_factor", 1.0)
     name = f"{word},{method_options}" if method_options else word
     methods = Methods(
-        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors)
-    )
+        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors),
+        sees=sees,
+    )  # fmt: skip
     return _method_job(name, evaluator, methods)
 
 

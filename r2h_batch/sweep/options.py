@@ -257,9 +257,12 @@ class Flags:
         ),
     ] = "planned"
     horizon: Annotated[
-        float,
-        Flag("longest episode of a closed loop, s; slow arms need more", "closed loop"),
-    ] = 15.0
+        float | None,
+        Flag(
+            "longest episode of a closed loop, s: 15, or 30 from the table, unless given; slow arms need more",
+            "closed loop",
+        ),
+    ] = None
     log: Annotated[
         Literal["", "tensorboard", "wandb", "mlflow", "trackio"],
         Flag("also write the table's numbers into a logger, in the run folder (offline)", "output"),
@@ -477,9 +480,10 @@ def check(options: Options) -> Options:
     if options.policy != Options.policy and not options.receiver_motion:
         words = "add --receiver-motion, such as moves or still"
         raise UsageError(f"--policy moves the arm in closed loop; {words}")
-    if options.horizon != Options.horizon and not options.receiver_motion:
-        raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
-    command_line.check_range("--horizon", options.horizon, 1, 600)
+    if options.horizon is not None:
+        if not options.receiver_motion:
+            raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
+        command_line.check_range("--horizon", options.horizon, 1, 600)
     if options.sees:
         from r2h_batch.observe.sees import Sees
 

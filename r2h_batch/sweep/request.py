@@ -333,4 +333,7 @@ def _loop(options: Options) -> "Loop | None":
     from r2h_batch.closed_loop.moving import ReceiverMotion
 
     motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
-    return Loop(motion, options.policy, LoopConfig(seed=options.seed, horizon_s=options.horizon))
+    config, horizon_s = LoopConfig(seed=options.seed), options.horizon
+    if horizon_s is not None:
+        config = replace(config, horizon_s=horizon_s)
+    return Loop(motion, options.policy, config, of_benchmark=horizon_s is None)

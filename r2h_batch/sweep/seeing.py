@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol, Self
 
 import numpy as np
@@ -27,6 +28,9 @@ CLOUD = 2048
 SEEN_M = 0.008
 """A point of the object's surface counts as seen with a point of the cloud this near [choice]."""
 SURFACE_POINTS = 512
+KEPT_TRIALS = 256
+"""Trials whose images stay for the next method of a sweep: 0.53 MB each of two posts. The first ones stay: each method goes
+through all trials in the same order, so that the last ones never would."""
 LIFT_M = 0.005
 """How far the object is lifted where its pick is looked at [choice]: at rest it touches the table."""
 
@@ -42,18 +46,74 @@ class Asked(Protocol):
         """
 
 
+@dataclass(frozen=True)
+class Look:
+    """Images of some trials, and where their objects lie in truth.
+
+    Attributes:
+        seen: of N trials.
+        T_world_obj: where their objects lie in truth, m.
+        columns: of `SEES`, those that no method decides.
+    """
+
+    seen: Observation
+    T_world_obj: Float32[Tensor, "n 4 4"]
+    columns: dict[str, Tensor]
+
+
+class Looks:
+    """Images of the trials of a sweep, made once for all of its methods.
+
+    Args:
+        sees: what is shown.
+        evaluator: of the trials.
+        kept: trials whose images stay; 0: each method looks anew.
+    """
+
+    def __init__(self, sees: Sees, evaluator: "Evaluator", kept: int = 0) -> None:
+        self.sees, self.evaluator = sees, evaluator
+        self._free = kept
+        self._kept: dict[bytes, Look] = {}
+
+    def of(self, trials: Trials) -> Look:
+        """The images of N trials; `t_sees_s` is that of the first look.
+
+        Args:
+            trials: N trials of the evaluator's benchmark: an id names one.
+        """
+        key = trials.trial_id.cpu().numpy().tobytes()
+        if key in self._kept:
+            return self._kept[key]
+        found = self._look(trials)
+        if len(trials) <= self._free:
+            self._kept[key] = found
+            self._free -= len(trials)
+        return found
+
+    def _look(self, trials: Trials) -> Look:
+        start = time.perf_counter()
+        seen, T_world_obj = self.sees.look(self.evaluator.scene, trials)
+        t_sees, home = (time.perf_counter() - start) / len(trials), T_world_obj.device
+        pixels = (seen.object.label == LABELS.index("object")) & (seen.object.depth_m > 0)
+        columns = {
+            "t_sees_s": torch.full((len(trials),), t_sees, dtype=torch.float32, device=home),
+            "seen_px": pixels.sum((1, 2, 3)).int(),
+            "seen_share": seen_share(self.evaluator, trials, seen, T_world_obj),
+        }
+        return Look(seen, T_world_obj, columns)
+
+
 class SeeingMethod:
     """A method that answers what it sees, as a job of a sweep.
 
     Args:
         name: in tables and messages.
         asked: answers observations.
-        sees: what it is shown.
-        evaluator: of the trials.
+        looks: what it is shown.
     """
 
-    def __init__(self, name: str, asked: Asked, sees: Sees, evaluator: "Evaluator") -> None:
-        self.name, self.sees, self.evaluator = name, sees, evaluator
+    def __init__(self, name: str, asked: Asked, looks: Looks) -> None:
+        self.name, self.looks = name, looks
         self._asked = asked
         self._looked: dict[str, Tensor] = {}
 
@@ -63,8 +123,7 @@ class SeeingMethod:
         name: str,
         method: str,
         options: Mapping[str, Any],
-        sees: Sees,
-        evaluator: "Evaluator",
+        looks: Looks,
     ) -> Self:
         """A user's `predict(seen)`, in a process of its own.
 
@@ -72,10 +131,9 @@ class SeeingMethod:
             name: in tables and messages.
             method: as `--method` names it, without name and options.
             options: keyword arguments of the function.
-            sees: what it is shown.
-            evaluator: of the trials.
+            looks: what it is shown.
         """
-        return cls(name, Apart(method, options, evaluator.threads), sees, evaluator)
+        return cls(name, Apart(method, options, looks.evaluator.threads), looks)
 
     @classmethod
     def built_in(
@@ -84,8 +142,7 @@ class SeeingMethod:
         function: Callable[..., Predictions],
         shown: Sequence[str],
         options: Mapping[str, Any],
-        sees: Sees,
-        evaluator: "Evaluator",
+        looks: Looks,
     ) -> Self:
         """A built-in method, in the world that it believes (`methods.believed`).
 
@@ -94,16 +151,16 @@ class SeeingMethod:
             function: its `predict`.
             shown: fields of `Observations` that it is shown.
             options: keyword arguments of the function.
-            sees: what it is shown.
-            evaluator: of the trials.
+            looks: what it is shown.
         """
         from r2h_batch.methods.believed import AskedHere
 
+        evaluator, sees = looks.evaluator, looks.sees
         asked = AskedHere(
             function, shown, options, evaluator.scene.benchmark, evaluator.config,
             noise=sees.noise, model=sees.model, threads=evaluator.threads,
         )  # fmt: skip
-        return cls(name, asked, sees, evaluator)
+        return cls(name, asked, looks)
 
     def predict(self, trials: Trials) -> Predictions:
         """The answers of N trials; what was seen of them waits for `looked`.
@@ -136,27 +193,18 @@ class SeeingMethod:
         return self._looked
 
     def _part(self, trials: Trials) -> tuple[Predictions, dict[str, Tensor]]:
-        scene = self.evaluator.scene
-        start = time.perf_counter()
-        seen, T_world_obj = self.sees.look(scene, trials)
-        t_sees = (time.perf_counter() - start) / len(trials)
+        look = self.looks.of(trials)
         try:
-            grasp, handover, seconds = self._asked.ask(seen)
+            grasp, handover, seconds = self._asked.ask(look.seen)
         except UserError as error:
             raise AnswerError(f"method {self.name}: {error}") from None
-        home = T_world_obj.device
-        T_obj_ee = se3.matmul(se3.inverse(T_world_obj.double()), grasp.to(home)).float()
+        home = look.T_world_obj.device
+        T_obj_ee = se3.matmul(se3.inverse(look.T_world_obj.double()), grasp.to(home)).float()
         answers = Predictions(
             trials.trial_id, T_obj_ee, handover.float().to(home), seconds.to(home), self.name
         )
-        pixels = (seen.object.label == LABELS.index("object")) & (seen.object.depth_m > 0)
-        columns = {
-            "trial_id": trials.trial_id,
-            "t_sees_s": torch.full((len(trials),), t_sees, dtype=torch.float32, device=home),
-            "seen_px": pixels.sum((1, 2, 3)).int(),
-            "seen_share": seen_share(self.evaluator, trials, seen, T_world_obj),
-            **picks(self.evaluator, trials, T_obj_ee, grasp),
-        }
+        picked = picks(self.looks.evaluator, trials, T_obj_ee, grasp)
+        columns = {"trial_id": trials.trial_id, **look.columns, **picked}
         return answers, {k: x.cpu() for k, x in columns.items()}
 
 

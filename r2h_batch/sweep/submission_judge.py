@@ -194,7 +194,7 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
             judged[method],
             baselines,
             common,
-            answers_of_shipped(run, method),
+            answers_of_shipped(run, method, baselines),
         )
         for method in run.methods
     ]

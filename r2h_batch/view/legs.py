@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
-from r2h_batch.judge.pick import Picked, picked
+from r2h_batch.judge.pick import Picked
 from r2h_batch.observe.known import known_moments
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.types import Predictions, Trials
@@ -42,7 +42,7 @@ def with_legs(
     """
     scene = evaluator.scene
     T_world_obj = known_moments(scene).of(trial)
-    found = picked(scene, answer.T_obj_ee, T_world_obj, trial)
+    found = evaluator.picks(answer.T_obj_ee, answer.T_world_ee, trial)
     T_world_grasp = found.T_world_ee[0].double().cpu().numpy()
     resting = replace(
         stored,
@@ -88,6 +88,8 @@ def _failed(
     leg = resting
     if reason in HELD:
         leg = replace(resting, row=stored.row, T_obj_ee_attached=stored.T_obj_ee_attached)
+    if reason is PickReason.PATH_COLLIDES:
+        return replace(leg, q=found.path[0, : int(found.length[0])].double().cpu().numpy())
     if reason in ALONG and np.isfinite(way_in).all():
         if reason is PickReason.APPROACH_COLLIDES:
             return replace(leg, q=way_in)

@@ -69,6 +69,8 @@ BORDER_M = 0.05
 """How far from a border between clothes and skin its plane decides what is clothed [choice]: its teeth are shorter."""
 CUFF_M = 0.006
 """How far ahead of its wrist the drawn hand begins [choice]: behind it lies skin that does not bend with the wrist."""
+HARMONICS = 2
+"""Waves of the line at which the drawn hand ends [choice]: an egg, without the fold of a bent wrist."""
 BELOW, UNDER_M, WRIST_M = 0.97, 0.004, 0.06
 """The forearm's end in the hand: its radii over those of the hand's end, how far inside it lies, and how much of the forearm
 bends towards it [choice]."""
@@ -288,8 +290,30 @@ def drawn_hand(
     wrist, ahead = joints[0], joints[MIDDLE_ROOT] - joints[0]
     ahead = ahead / np.linalg.norm(ahead)
     cut, _, inside = cut_at(faces, (vertices - wrist) @ ahead - CUFF_M)
-    new = cut.mixed(vertices)
+    new = _rounded(cut.mixed(vertices), ahead)
     return np.concatenate([vertices, new]), cut.faces[inside], new
+
+
+def _rounded(end: Array, ahead: Array) -> Array:
+    """The points (E, 3) of a hand's end on a smooth line about it: a bent wrist folds the skin at the thumb's root.
+
+    Args:
+        end: in the plane across `ahead`, m.
+        ahead: (3,) unit.
+    """
+    if len(end) < 4 * HARMONICS:
+        return end
+    x = np.linalg.svd(np.eye(3) - np.outer(ahead, ahead))[0][:, 0]
+    y = np.cross(ahead, x)
+    middle = 0.5 * (end.min(0) + end.max(0))
+    off = end - middle
+    radius, angle = np.hypot(off @ x, off @ y), np.arctan2(off @ y, off @ x)
+    turns = np.outer(angle, np.arange(1, HARMONICS + 1))
+    waves = np.concatenate([np.ones((len(end), 1)), np.cos(turns), np.sin(turns)], 1)
+    smooth = waves @ np.linalg.lstsq(waves, radius, rcond=None)[0]
+    return np.asarray(
+        end + ((smooth - radius) / radius)[:, None] * (off - np.outer(off @ ahead, ahead))
+    )
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.observe.sees import Sees
 from r2h_batch.protocols.benchmark import Benchmark, trials_digest
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
@@ -170,7 +171,7 @@ class Reader:
             config = TypeAdapter(EvalConfig).validate_json(text, strict=True)
             if config.execute.sim == "mjwarp" and header["device"]["kind"] != "cpu":
                 config = replace(config, execute=replace(config.execute, sim="mujoco"))
-            return Evaluator(self.benchmark, config)
+            return Evaluator(self.benchmark, config, plans_in=Sees.planning(header))
         except ValueError as error:  # pydantic's ValidationError is one
             what = " ".join(str(error).split())[:200]
             words = f"its configuration cannot be judged by this version ({what})"

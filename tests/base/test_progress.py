@@ -7,7 +7,7 @@ import time
 from r2h_batch.base.command_line import exit_code_of
 from r2h_batch.base.io import progress as progress_file
 from r2h_batch.base.io.log import LOG, lines_said, telling
-from r2h_batch.base.io.progress import progress
+from r2h_batch.base.io.progress import busy, progress
 
 
 def test_long_work_says_how_far_it_is_and_short_work_nothing(monkeypatch):
@@ -43,9 +43,9 @@ def test_the_speed_is_that_of_what_had_to_be_done(monkeypatch):
     assert speed <= 2 / 0.5 and left >= 52 / 4 - 1
 
 
-def test_a_command_that_says_nothing_says_that_it_works_until_it_speaks(monkeypatch, capsys):
+def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
     monkeypatch.setattr(progress_file, "SILENT_S", 0.1)
-    monkeypatch.setattr(progress_file, "EVERY_S", 0.1)
+    monkeypatch.setattr(progress_file, "SOON_S", 0.1)
 
     def waits(lines):
         before, end = lines_said(), time.monotonic() + 20.0
@@ -65,9 +65,77 @@ def test_a_command_that_says_nothing_says_that_it_works_until_it_speaks(monkeypa
 
     assert exit_code_of("figures", speaks) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 2 and lines[-1] == "two pictures" and {*lines[:-1]} == {"figures: working, 0 s"}
+    assert lines[0] == "figures: working, 0 s" and {*lines} == {"figures: working, 0 s", "two pictures"}
     assert exit_code_of("figures", lambda: 0) == 0  # short: nothing, and no thread is left
     assert capsys.readouterr().err == "" and not [t for t in threading.enumerate() if "not silent" in t.name]
     with telling(quiet=True):
         assert exit_code_of("figures", lambda: time.sleep(0.3) or 0) == 0
     assert capsys.readouterr().err == ""
+
+
+def test_a_command_says_that_it_works_again_where_it_falls_silent_and_not_beside_what_is_counted(monkeypatch, capsys):
+    for name in ("SILENT_S", "SOON_S"):
+        monkeypatch.setattr(progress_file, name, 0.1)
+
+    def speaks_then_works():
+        LOG.info("reading")
+        end = time.monotonic() + 20.0
+        while "works: working" not in capsys_text() and time.monotonic() < end:
+            time.sleep(0.02)
+        return 0
+
+    heard = []
+
+    def capsys_text():
+        heard.append(capsys.readouterr().err)
+        return "".join(heard)
+
+    assert exit_code_of("works", speaks_then_works) == 0
+    assert re.match(r"reading\nworks: working, 0 s\n", "".join(heard))
+
+    def counts():
+        with progress("film", 10, "pictures", first_s=30.0):
+            time.sleep(0.5)
+        return 0
+
+    assert exit_code_of("counts", counts) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_calls_of_a_script_say_that_they_work_once_all_of_them_took_long(monkeypatch):
+    said = []
+    monkeypatch.setattr(LOG, "info", said.append)
+    monkeypatch.setattr(progress_file, "LEAST_S", 0.05)
+    monkeypatch.setattr(progress_file, "FIRST_S", 0.6)
+    now = time.perf_counter()
+    monkeypatch.setitem(progress_file._calls, "begin", now)
+    monkeypatch.setitem(progress_file._calls, "end", now)
+    for name in ("loading", "drawing"):
+        with busy(name):
+            time.sleep(0.2)
+    assert not said
+    with busy("judging"):
+        time.sleep(0.5)
+    assert len(said) == 1 and re.fullmatch(r"judging: 1 s so far", said[0]), said
+    monkeypatch.setitem(progress_file._calls, "end", time.perf_counter() - 1000.0)  # later, another piece of work
+    with busy("judging"):
+        time.sleep(0.2)
+    assert len(said) == 1
+
+
+def test_a_call_inside_of_a_command_or_of_what_is_counted_starts_no_thread(monkeypatch):
+    monkeypatch.setattr(progress_file, "SILENT_S", 120.0)
+
+    def threads():
+        return [t.name for t in threading.enumerate() if t.name == "progress of judging"]
+
+    def inside():
+        with busy("judging"):
+            return len(threads())
+
+    assert exit_code_of("sweep", inside) == 0
+    with progress("film", 10, "pictures"), busy("judging"):
+        assert not threads()
+    with busy("judging"):
+        assert len(threads()) == 1
+    assert not threads()

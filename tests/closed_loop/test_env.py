@@ -650,7 +650,7 @@ def test_a_hand_that_takes_may_come_to_every_body_of_the_gripper_and_to_none_of_
     body = {"last of the arm": first - 1, "first of the gripper": first, "last": len(names) - 2}[place]
     asked, own = [], env._distance.nearest
 
-    def nearest(rows, q, T_world_hand):
+    def nearest(rows, q, T_world_hand, opening_m=None):
         asked.append(len(rows))
         return SimpleNamespace(
             distance_m=own(rows, q, T_world_hand).distance_m, body=torch.full((len(rows),), body, dtype=torch.int32)

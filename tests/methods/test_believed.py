@@ -10,20 +10,23 @@ import torch
 import trimesh
 from rays_twin import RIG, cell
 from rounds import each
-from scipy.spatial import cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
-from r2h_batch.methods import believed, fc, handover_va, random, robust
+from r2h_batch.config import EvalConfig
+from r2h_batch.methods import believed, contact, fc, handover_va, random, robust
 from r2h_batch.methods.believed import AskedHere
-from r2h_batch.methods.predictors import predict_parts
+from r2h_batch.methods.predictors import predict_contacts, predict_parts
+from r2h_batch.observe import believed_object
+from r2h_batch.observe.believed_world import ROOM_M
 from r2h_batch.observe.seeing import look
 from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.sees import Sees
-from r2h_batch.observe.solid import completed, levelled
+from r2h_batch.observe.solid import _in_hull, completed, levelled
 from r2h_batch.scene.objects import build_object
-from r2h_batch.sweep.seeing import SeeingMethod
-from r2h_batch.types import Trials
+from r2h_batch.sweep.seeing import Looks, SeeingMethod
+from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA
 
 
@@ -40,8 +43,10 @@ def solid(row, noise=0.0):
 
 def forget():
     """No answer comes from memory."""
-    believed.SOLIDS.clear()
+    believed_object.SOLIDS.clear()
+    believed.CONTACTS.clear()
     believed.holds_on.cache_clear()
+    believed.with_grasps.cache_clear()
 
 
 def asked(method, benchmark=None, *, shown=("receiving", "target"), **options):
@@ -160,15 +165,15 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, 
         forget()
         judge = benchmark.evaluator()
         options = {"seed": 0}
-        method = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), options, Sees.parse("cell-v1"), judge)
+        looks = Looks(Sees.parse("cell-v1"), judge)
+        method = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), options, looks)
         answers.append(method.predict(some))
     for name in each(("T_obj_ee", "T_world_ee")):
         assert torch.equal(getattr(answers[0], name), getattr(answers[1], name))
     assert (seen.region is None) == (region == "hidden")
     # the test can fail: other images give other answers
-    other = SeeingMethod.built_in(
-        "fc", fc.predict, ("receiving", "target"), {"seed": 0}, Sees.parse("cell-v1"), benchmark.evaluator()
-    )
+    looks = Looks(Sees.parse("cell-v1"), benchmark.evaluator())
+    other = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), {"seed": 0}, looks)
     monkeypatch.setattr(Sees, "look", lambda self, scene, trials: (view(0.0)[rows], T_world_obj))
     assert not torch.equal(other.predict(some).T_obj_ee, answers[0].T_obj_ee)
 
@@ -290,14 +295,60 @@ def test_a_kept_solid_is_that_of_the_trials_own_images():
     forget()
     first, _ = believed._object(seen, 0, robot)
     after, _ = believed._object(other, 0, robot)
-    assert after.name == alone.name != first.name and len(believed.SOLIDS) == 2
+    assert after.name == alone.name != first.name and len(believed_object.SOLIDS) == 2
+
+
+def test_a_told_region_makes_another_solid_only_where_it_is():
+    forget()
+    hidden, told = view(), view(region="told")
+    for row in each((0, 4)):  # of S0 and of S1
+        assert bool(told.region[row].any()) == (row == 4)
+        alike = believed._object(hidden, row, cell()[0].robot)[0] is believed._object(told, row, cell()[0].robot)[0]
+        assert alike == (row == 0)
+
+
+def test_contacts_are_those_of_the_network_and_each_surface_is_asked_once(monkeypatch):
+    scene, known = cell()[0], believed.known_before(cell()[0].benchmark)
+    forget()
+    found, calls = [], []
+    network = believed.contacts_of_any
+    monkeypatch.setattr(believed, "contacts_of_any", lambda grid: calls.append(1) or network(grid))
+    for region in each(("hidden", "told")):
+        seen = view(region=region)[4:6]
+        world = believed.believed(seen, *known, scene.config, believed.noise_left(1.0), holds=False, seed=0)
+        shown = asked(contact, shown=("receiving", "target", "contacts"))._arguments(world)["seen"]
+        found.append(shown.contacts.of(world.trials)["probability"])
+    assert len(calls) == 2  # the regions differ, the surfaces do not
+    expected = predict_contacts(world.trials, world.scene, predictor=network)
+    assert torch.equal(found[0], expected) and torch.equal(found[1], expected)
+    assert expected.std() > 0.05 and not torch.equal(expected[0], expected[1])
+    # what cameras leave of the grid is another question
+    few = asked(contact, cameras=2)._arguments(world)
+    assert few["seen"].contacts is None and few["predictor"] is believed.contacts_of_any
+
+
+def test_nodes_are_in_the_hull_of_a_cloud_and_its_shadow_as_every_plane_says():
+    rng = np.random.default_rng(3)
+    for n in each((4, 40, 3000)):
+        points = rng.normal(0, 0.05, (n, 3)) + [0.3, 0.2, 0.2]
+        axes = [np.linspace(low, high, 24) for low, high in zip(points.min(0), points.max(0), strict=True)]
+        axes[2] = np.append(axes[2], 0.05)  # on the table, where the shadow is
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+        nodes = np.concatenate([grid, points, points * [1, 1, 0] + [0, 0, 0.05]])
+        hull = ConvexHull(np.concatenate([points, points * [1, 1, 0] + [0, 0, 0.05]]))
+        x, y, z = nodes.T
+        expected = np.ones(len(nodes), bool)
+        for a, b, c, d in np.round(hull.equations, 9):
+            expected &= a * x + b * y + c * z + d <= 0
+        assert np.array_equal(_in_hull(points, 0.05, nodes), expected)
+        assert 0 < expected.sum() < len(nodes)
 
 
 def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     def alive():
         return sum(type(x) is trimesh.Trimesh for x in gc.get_objects())
 
-    monkeypatch.setattr(believed, "GARBAGE_AFTER", 1)
+    monkeypatch.setattr(believed_object, "GARBAGE_AFTER", 1)
     forget()
     gc.collect()
     before = alive()
@@ -307,6 +358,19 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
         after = alive()
     finally:
         gc.enable()
-    assert len(believed.SOLIDS) == 3
+    assert len(believed_object.SOLIDS) == 3
     # the last one was in hand when it was looked for
     assert after <= before + 1, (before, after)
+
+
+def test_methods_keep_the_room_that_planning_keeps_where_a_trial_begins_on_the_table():
+    for name, room in each((("r2h-v2", 0.0), ("r2h-v3-draft", ROOM_M))):
+        benchmark = load_benchmark(name)
+        given = []
+
+        def asks(trials, scene, *, evaluator, given=given):
+            given.append((scene.hand_room_m, evaluator.scene.hand_room_m, evaluator.scene is scene))
+            return Predictions(trials.trial_id, *(torch.eye(4).repeat(len(trials), 1, 1) for _ in range(2)))
+
+        AskedHere(asks, (), {}, benchmark, EvalConfig(), noise=1.0).ask(view()[:1])
+        assert given == [(room, room, True)]

@@ -204,3 +204,22 @@ def test_no_shipped_method_has_the_answers_of_another_one():
     shipped = results.load_run(SHIPPED / "r2h-v2")
     for method in each(shipped.methods):
         assert answers_of_shipped(shipped, method) == {method: 1.0}
+
+
+def test_the_answers_of_a_boards_own_baselines_are_named_where_none_are_shipped():
+    """A benchmark of a board, such as one with held-out trials, has no shipped rows."""
+    run = results.load_run(SHIPPED / "r2h-v2")
+
+    def on(benchmark, methods):
+        entries = tuple(e for e in run.entries if e.name in methods)
+        header = {**run.header, "digests": {**run.header["digests"], "benchmark": benchmark}}
+        return replace(run, header=header, entries=entries, folder=run.folder / "elsewhere")
+
+    theirs = on("a" * 64, ("oracle",))
+    assert answers_of_shipped(theirs, "oracle") == {}
+    assert answers_of_shipped(theirs, "oracle", on("a" * 64, ("oracle", "random"))) == {"oracle": 1.0}
+    assert answers_of_shipped(theirs, "oracle", on("a" * 64, ("random",))) == {}
+    assert answers_of_shipped(theirs, "oracle", on("b" * 64, ("oracle",))) == {}
+    bare = on("a" * 64, ("oracle",))
+    bare = replace(bare, header={**bare.header, "stored": []})
+    assert answers_of_shipped(theirs, "oracle", bare) == {}

@@ -36,6 +36,7 @@ WHERE = {
     PickReason.APPROACH_COLLIDES: ("approach", "entered"),
     PickReason.CLOSING_COLLIDES: ("closing",),
     PickReason.LIFT_COLLIDES: ("lift",),
+    PickReason.PATH_COLLIDES: ("way",),
 }
 """The stages in which a row fails by meeting something."""
 STEP_M = 0.001

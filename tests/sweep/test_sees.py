@@ -16,6 +16,7 @@ from r2h_batch.observe import load_rig, moments
 from r2h_batch.observe.sees import Sees
 from r2h_batch.report.table import render, table_of
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep import seeing
 
 GRAB = """
 import torch
@@ -138,6 +139,35 @@ def test_rows_have_the_same_bits_in_chunks_shards_and_after_a_resume(run, method
         a, b = (getattr(r, kind)("grab").to_pydict() for r in (run, found))
         for name in each([k for k in a if k not in ("t_plan_s", "t_method_s", "t_sees_s")]):
             assert a[name] == b[name], name
+
+
+def test_methods_of_a_sweep_look_once_and_answer_as_they_do_alone(run, methods, tmp_path, monkeypatch):
+    looked = []
+    look = Sees.look
+
+    def counted(self, scene, trials):
+        looked.append(len(trials))
+        return look(self, scene, trials)
+
+    monkeypatch.setattr(Sees, "look", counted)
+    monkeypatch.setattr(seeing, "AT_ONCE", 3)
+    for kept, anew in each(((4, 6), (256, 0))):  # of parts of 3, 3, 3 and 1 trials the first and the last stay
+        looked.clear()
+        monkeypatch.setattr(seeing, "KEPT_TRIALS", kept)
+        done = in_process(
+            "--method", f"grab={methods / 'grab.py'}:predict", "random", "--sees", "cell-v1", "--trials", 5, "--sim", "none",
+            "--out", tmp_path / f"{kept}",
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        found = load_run(tmp_path / f"{kept}")
+        assert sum(looked) == 10 + anew and len(found.methods) == 2, looked
+        for kind in each(("trials", "poses", "sees")):
+            alone, first = (getattr(r, kind)(n).to_pydict() for r, n in ((run, "grab"), (found, "grab")))
+            for name in each([k for k in alone if k not in ("t_plan_s", "t_method_s", "t_sees_s")]):
+                assert alone[name] == first[name], name
+    # a later method's look took as long as the first one's
+    a, b = (found.sees(n)["t_sees_s"].to_pylist() for n in found.methods[:2])
+    assert a == b and min(a) > 0
 
 
 def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, methods, tmp_path, capsys):

@@ -7,7 +7,7 @@ from scipy.spatial import cKDTree
 
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.edit import edited
-from r2h_batch.scene.tables import Hands
+from r2h_batch.scene.tables import MIDDLE_ROOT, Hands
 from r2h_batch.types import PERSON
 from r2h_batch.verdicts import SEXES
 from r2h_batch.view.episode import EpisodeDrawing
@@ -267,3 +267,20 @@ def test_a_model_shows_the_skin_and_a_moving_arm_bends_it(run):
     drawing.show(lifted, None)
     low, high = (drawing.at(drawing.steps[k]).site("ball").xpos[2].copy() for k in (0, 1))
     assert abs(high - low - 0.1) < 1e-9
+
+
+def test_the_drawn_hand_ends_in_a_line_without_folds():
+    """Within 5 degrees about the wrist the radius of the end changes by less than 1 mm, also where the wrist is bent."""
+    hands, worst = Hands.posed(edited(BenchmarkChoice()).hand_set), []
+    for k in each(range(0, len(hands.vertices), 7), 50):
+        faces = hands.model.faces_by_side[int(hands.set.side[k])].numpy()
+        joints = hands.joints[k].double().numpy()
+        _, _, end = drawn_hand(hands.vertices[k].double().numpy(), faces, joints)
+        ahead = joints[MIDDLE_ROOT] - joints[0]
+        ahead /= np.linalg.norm(ahead)
+        off = end - (end.min(0) + end.max(0)) / 2
+        off -= np.outer(off @ ahead, ahead)
+        radius = np.linalg.norm(off, axis=1)
+        near = (off @ off.T) / np.outer(radius, radius) > np.cos(np.radians(5))
+        worst.append(np.abs(radius[:, None] - radius)[near].max())
+    assert max(worst) < 1e-3

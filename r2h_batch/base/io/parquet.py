@@ -150,6 +150,10 @@ def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
         found, counts = _arrays(io.BytesIO(data), **options)
     except (OSError, pa.ArrowException) as error:
         raise FileError(f"no readable Parquet file ({printable(error)[:200]}); {_COPY}") from None
+    except UnicodeDecodeError:
+        raise FileError(
+            "a column of text has bytes that are not UTF-8; write it as UTF-8"
+        ) from None
     about = json.dumps({"columns": list(found), "lists": list(counts)})
     return [np.array(about), *found.values(), *counts.values()]
 

@@ -1,6 +1,7 @@
-"""Answers that are those of a shipped method: a board gives them no place."""
+"""Answers that are those of a shipped method, or of a board's baseline: a board gives them no place."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow.compute as pc
@@ -19,8 +20,9 @@ MOVED_M, MOVED_DEG = 20e-3, 8.0
 0.2 % of the answers are so near to another one's (all presets, 1,000 trials each), 5 % if the object's turn does not count."""
 
 
-def answers_of_shipped(run: "Run", method: str) -> dict[str, float]:
-    """Built-in method -> the share of a method's answers that are its shipped ones, where that is `ALIKE_SHARE` or more.
+def answers_of_shipped(run: "Run", method: str, baselines: "Run | None" = None) -> dict[str, float]:
+    """Built-in method or baseline -> the share of a method's answers that are its stored ones, where that is `ALIKE_SHARE`
+    or more.
 
     An answer is a shipped one if grasp and handover pose both have the ee within `ALIKE_M` of it, or within `MOVED_M` with the
     object turned by at most `MOVED_DEG`. How the gripper is turned about the object does not count: a half turn about its axis
@@ -29,15 +31,11 @@ def answers_of_shipped(run: "Run", method: str) -> dict[str, float]:
     Args:
         run: with poses.
         method: name in the run.
+        baselines: those of a board, beside the shipped rows: a benchmark may have no other ones. None: the shipped alone.
     """
     ids, places, turns = _places(run, method)
     shares: dict[str, float] = {}
-    for folder in stored_rows():
-        header = read_header(folder)
-        digests = run.header.get("digests", {}), header["digests"]
-        if "poses" not in header["stored"] or len({d.get("benchmark") for d in digests}) > 1:
-            continue
-        stored = load_baselines(folder, verify=False)
+    for stored in _stored(run.header, baselines):
         for name in stored.methods:
             own, there, turned = _places(stored, name)
             _, a, b = np.intersect1d(ids, own, return_indices=True)
@@ -48,6 +46,20 @@ def answers_of_shipped(run: "Run", method: str) -> dict[str, float]:
             )
             shares[name] = max(shares.get(name, 0.0), near.sum() / max(len(ids), 1))
     return {name: float(share) for name, share in shares.items() if share >= ALIKE_SHARE}
+
+
+def _stored(header: Mapping[str, Any], baselines: "Run | None") -> Iterator["Run"]:
+    """The stored runs with poses on a run's benchmark."""
+
+    def suits(own: Mapping[str, Any]) -> bool:
+        digests = header.get("digests", {}), own.get("digests", {})
+        return "poses" in own.get("stored", ()) and len({d.get("benchmark") for d in digests}) == 1
+
+    for folder in stored_rows():
+        if suits(read_header(folder)):
+            yield load_baselines(folder, verify=False)
+    if baselines is not None and baselines.folder not in stored_rows() and suits(baselines.header):
+        yield baselines
 
 
 def _places(

@@ -25,6 +25,7 @@ from r2h_batch.base.validate import check_arguments, instance_of, integer, optio
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.form import Form, planning_form
+from r2h_batch.observe.sees import Sees
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs import provenance
@@ -130,7 +131,8 @@ class Judge:
         header, where = run.header, run.folder
         config = configuration(header["configuration"], str(where))
         self.benchmark = benchmark_of_run(header, given or BenchmarkChoice(), str(where))
-        self.evaluator = Evaluator(self.benchmark, config, device=device)
+        plans_in = Sees.planning(header)
+        self.evaluator = Evaluator(self.benchmark, config, device=device, plans_in=plans_in)
         self.other = _other(header, device)
         self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
         # the last bits of Safe's margins differ between the CPU and GPU forms (docs/gpu.md)
