@@ -177,7 +177,7 @@ def is_free_of_region(model: "ObjectModel") -> bool:
 
 
 def region_limits(own: "Benchmark", path: Path) -> dict[str, dict[str, float]]:
-    """What limits a ranker on a benchmark's objects, percent of trials by kind of region, pose stage.
+    """Limits of a ranker on a benchmark's objects, percent of trials by kind of region, pose stage.
 
     Keys: `of` trials; `learned`: the pair that it likes best; `a pair`: one of its 384 pairs; `oracle`: a proposal of the
     oracle; `held`: some candidate passes Stability and Affordance, wherever it is brought; `denser`: or one of some 100,000
@@ -732,7 +732,7 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 {table}
 
 - Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
-  yours. At least 40 % of them keep off the region, where so many are found.
+  yours.
 - Any of its 384 pairs: Learned takes one of these pairs. What it has less than this column is lost by the ranking.
 - A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
   takes a candidate.
