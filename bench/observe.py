@@ -36,7 +36,7 @@ clock starts too; the others draw everything in each image. MuJoCo C's rays and 
 
 {speed}
 
-Against the package's rays: pixels with another label, and the difference of depth where the labels agree, in mm.
+Against the package's rays: pixels with another label, and the difference of depth where the labels agree, in mm.{beyond}
 
 {agreement}
 
@@ -45,6 +45,10 @@ the sensor's errors, moments and clouds of 2,048 points: {seen:.0f} a second and
 trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more, clouds
 {cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
 {small}"""
+
+
+BEYOND = """
+Beyond a pixel: pixels whose label none of the nine pixels about it has in the package's image."""
 
 
 def clock(call: Callable[[], Any]) -> tuple[Any, float]:
@@ -227,6 +231,14 @@ class Peers:
         return context.depth_data.numpy().reshape(n, side, side).copy(), label, seconds
 
 
+def off_border(theirs: np.ndarray, ours: np.ndarray) -> int:
+    """The number of pixels whose label none of the nine about it has in the other one's image."""
+    wide = np.pad(ours, ((0, 0), (1, 1), (1, 1)), mode="edge")
+    h, w = ours.shape[1:]
+    about = [wide[:, v : v + h, u : u + w] == theirs for v in range(3) for u in range(3)]
+    return int((~np.any(about, axis=0)).sum())
+
+
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     import torch
 
@@ -278,6 +290,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             off = 1e3 * np.abs(d - own[0][:count])[same]
             found[name] = {
                 "per_s": count / seconds, "other_label": float((what != own[1][:count]).mean()),
+                "off_border": off_border(what, own[1][:count]),
                 "median_mm": float(np.median(off)), "p99_mm": float(np.quantile(off, 0.99)), "most_mm": float(off.max()),
             }  # fmt: skip
             print(side, name, found[name], flush=True)
@@ -297,7 +310,9 @@ def markdown(data: Mapping[str, Any]) -> str:
         for s in sizes if name != "rays" else ():
             f = sizes[s][name]
             numbers = (f"{f['median_mm']:.4f}", f"{f['p99_mm']:.3f}", f"{f['most_mm']:.1f}")
-            agreement.append([f"{words}, {s} x {s}", f"{100 * f['other_label']:.3f} %", *numbers])
+            beside = (str(f["off_border"]),) if "off_border" in f else ()
+            agreement.append([f"{words}, {s} x {s}", f"{100 * f['other_label']:.3f} %", *beside, *numbers])
+    told = all("off_border" in f for of in sizes.values() for name, f in of.items() if name != "rays")
     total = data["moment_ms"] + data["images_ms"] + data["cloud_ms"]
     wide = [f"{s} x {s}" for s in sizes]
     return HEAD.format(
@@ -306,7 +321,10 @@ def markdown(data: Mapping[str, Any]) -> str:
         commit=str(data["commit"])[:12],
         load=data["hardware"]["load_at_start"],
         speed=markdown_table(["images a second and core", *wide, *(f"ours is times, {w}" for w in wide)], speed),
-        agreement=markdown_table(["against", "other label", "median", "99 %", "largest"], agreement),
+        agreement=markdown_table(
+            ["against", "other label", *(("beyond a pixel",) if told else ()), "median", "99 %", "largest"], agreement
+        ),
+        beyond=BEYOND if told else "",
         seen_px=" and ".join(f"{p} x {p}" for p in data["seen_px"]),
         seen=1e3 / total,
         small=f"\nWith two windows of {SMALL_PX} x {SMALL_PX} of one post: {1e3 / data['small_ms']:.0f} a second and core.\n"

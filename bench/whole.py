@@ -1,20 +1,29 @@
 """The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/results/whole.md.
 
 `python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--sim none`), judges some rows again with other code,
-and takes the time of each part. `--render` writes the page again from the JSON.
+and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what is
+done, and started again it goes on with what is missing. `--render` writes the page again from the JSON.
 """
 
 import argparse
+import hashlib
+import json
+import multiprocessing
+import statistics
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from _report import ROOT, made_by, markdown_table, page_from, swept
+from _source import digests
+from transfer import Parts
 
 PAGE = ROOT / "docs" / "results" / "whole.md"
 MEASURES = (
@@ -35,10 +44,29 @@ MEASURES = (
     "r2h_batch/protocols/r2h_v3_draft.py",
     "r2h_batch/scene/resting.py",
 )
-TRIALS, SEEN_TRIALS = 100, 20
 SEES = "cell-v1,region=told"
 SEEING = ("robust", "fc", "handover-va", "contact", "intent", "learned", "random")
+RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
+TRACKS: dict[str, tuple[str, ...]] = {
+    "truth": ("--method", *METHODS, "--save-paths"),
+    "seen": ("--sees", SEES, "--method", *SEEING),
+}
+BOUND = """The robust search less the best published rule ({best}), paired by trial: {points:+.1f} points, 95 %
+{low:+.1f} to {high:+.1f} (Tango 1998; asked: at least 15).
+
+"""
+LEAST_POINTS = 15
+FEW = """trials a split of the seeing track: intervals overlap, also that of the robust search and the others'.
+- """
+MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
+alone.
+
+A row of these sweeps took {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing: the method, the
+judge and the start of the program.
+"""
+SHARD = 128
+"""Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 5
 """Rows of each method that other code judges again."""
 TIMED = 32
@@ -78,14 +106,14 @@ person's arm and torso nor what people can take.
 
 {seen}
 
-## Cost
+{bound}## Cost
 
-Process milliseconds of one core a row, {timed} rows, moments known (drawing one takes {moment:.1f}):
+Process milliseconds of one core a row, {timed} rows{at_once}, moments known (drawing one takes {moment:.1f}):
 
 {cost}
 
 Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (asked: at most 2).
-
+{more_cost}
 ## Checked by other code
 
 Other code judged {checked} of these rows again in float64: Pick (`tests/support/pick_twin.py`), and Stability, the carry, Reach,
@@ -103,15 +131,79 @@ again, {twice} of them more than once; {never} have no answer. Redraws by catego
 
 ## What is missing
 
-- More than {seen_trials} trials a split of the seeing track: intervals overlap, also that of the robust search and the others'.
-- Criteria that fail for nobody in these tables: {idle}.
+- {few}Criteria that fail for nobody in these tables: {idle}.
 - `HandoverEnv` does not begin at the table. Pick's margin has no gradient.
 - Trials beyond the first {certified} are drawn once.
 """
 
 
-def measured(_: argparse.Namespace) -> Mapping[str, Any]:
+def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     """All figures of the page."""
+    from r2h_batch.runs.store import load_run
+
+    of = {"trials": options.trials, "seen_trials": options.seen_trials, "source": digests(MEASURES)}
+    with tempfile.TemporaryDirectory() as folder:
+        # rows of other code or of other trials lie in another folder
+        name = hashlib.sha256(json.dumps(of).encode()).hexdigest()[:12]
+        home = (options.parts or Path(folder)).absolute() / name
+        home.mkdir(parents=True, exist_ok=True)
+        context = multiprocessing.get_context("spawn")
+        spent = dict.fromkeys(TRACKS, 0.0)
+        with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
+            waiting = []
+            for track, trials in (("seen", options.seen_trials), ("truth", options.trials)):
+                shards = -(-2 * trials // SHARD)
+                waiting += [(track, pool.submit(_swept, home, track, trials, k, shards)) for k in range(shards)]
+            for track, piece in waiting:
+                spent[track] += piece.result()
+        runs = {track: load_run(home / track) for track in TRACKS}
+        parts = Parts(home, of)
+        titles = dict(zip(SEEING, runs["seen"].methods, strict=True))
+        return {
+            "trials": options.trials,
+            "methods": {name: _about(runs["truth"], name) for name in runs["truth"].methods},
+            "checked": parts.get("checked", partial(_checked, runs["truth"])),
+            "ms": parts.get("cost", partial(_cost, runs["truth"])),  # alone on the machine
+            "seen_trials": options.seen_trials,
+            "seen": {name: _about(runs["seen"], name) for name in runs["seen"].methods},
+            "robust": titles["robust"],
+            "rules": [titles[m] for m in RULES],
+            "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
+            **made_by(MEASURES),
+        }
+
+
+def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
+    """One shard of a track's trials, all methods; the process seconds that it took, which are kept."""
+    kept = home / f"{track}-{k}.seconds"
+    before = float(kept.read_text()) if kept.exists() else 0.0
+    begin = time.process_time()
+    piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
+    more = ("--trials", trials, "--sim", "none", "--threads", 1, "--quiet", *piece)
+    swept(home / track, "--benchmark", "r2h-v3-draft", *TRACKS[track], *more)
+    spent = before + time.process_time() - begin
+    kept.write_text(repr(spent))
+    print(f"{track}, shard {k + 1} of {shards}: {spent:.0f} CPU s", flush=True)
+    return spent
+
+
+def _about(run: Any, name: str) -> dict[str, Any]:
+    """The outcomes of a method, and why it fails."""
+    rows = sorted(run.trials(name).to_pylist(), key=lambda r: r["trial_id"])
+    return {
+        "n": len(rows),
+        "won": "".join(str(int(r["outcome"] == "success")) for r in rows),
+        "outcomes": dict(Counter(r["outcome"] for r in rows)),
+        "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
+        "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
+        "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
+        "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
+        "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
+    }
+
+
+def _checked(run: Any) -> list[dict[str, Any]]:
+    """Some rows of each method, and the verdict of other code on them."""
     from dataclasses import fields
 
     from _twins import Again, PickTwin, reception_of
@@ -119,115 +211,95 @@ def measured(_: argparse.Namespace) -> Mapping[str, Any]:
     from r2h_batch.judge.pick import Picked, picked
     from r2h_batch.judge.reception import reception
     from r2h_batch.observe import moments
-    from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.reevaluation import Judge
 
-    methods: dict[str, Any] = {}
+    judge = Judge(run)
+    scene = judge.evaluator.scene
     checked: list[dict[str, Any]] = []
-    clocks = np.zeros(len(PARTS))
-    with tempfile.TemporaryDirectory() as folder:
-        out = Path(folder) / "run"
-        words = (
-            "--benchmark",
-            "r2h-v3-draft",
-            "--method",
-            *METHODS,
-            "--trials",
-            TRIALS,
-            "--sim",
-            "none",
-            "--save-paths",
-            "--threads",
-            1,
-        )
-        run = load_run(swept(out, *words))
-        judge = Judge(run)
-        scene = judge.evaluator.scene
-        for name in run.methods:
-            rows = run.trials(name).to_pylist()
-            methods[name] = {
-                "n": len(rows),
-                "outcomes": dict(Counter(r["outcome"] for r in rows)),
-                "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
-                "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
-            }
-            methods[name] |= {
-                "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
-                "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
-                "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
-            }
-            columns = rows_of(run, name)
-            ids = list(columns)[:: len(columns) // CHECKED][:CHECKED]
-            trials = judge.trials(ids)
-            grasp, pose = poses_of([columns[i] for i in ids])
-            rest = moments(scene, trials)
-            found = picked(scene, grasp, rest, trials)
-            scores = judge.evaluator.score(grasp, pose, trials)
-            people = reception(scores)
-            for k, i in enumerate(ids):
-                row = columns[i]
-                own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
-                says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
-                if row["passed_pick"] != bool(own.picked):
-                    says = f"{says} stored otherwise"
-                twin = Again(
-                    scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
-                    T_world_rest=rest[k],
-                )  # fmt: skip
-                others = [f.name for f in twin.findings() if not f.holds]
-                if row["passed_received"] is not None:
-                    others += [f.name for f in reception_of(twin, people, k) if not f.holds]
-                    if bool(people.received[k]) != row["passed_received"]:
-                        others.append("received is stored otherwise")
-                checked.append(
-                    {
-                        "method": name,
-                        "trial": i,
-                        "picked": bool(own.picked),
-                        "carried": bool(row.get("q")),
-                        "received": bool(row["passed_received"]),
-                        "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
-                    }
-                )
-            some = [columns[i] for i in list(columns)[:TIMED]]
-            clocks += timed(judge, [r["trial_id"] for r in some], *poses_of(some))
-            print(name, methods[name], flush=True)
-        looking = ("--benchmark", "r2h-v3-draft", "--sees", SEES, "--method", *SEEING, "--trials", SEEN_TRIALS)
-        run = load_run(swept(Path(folder) / "seen", *looking, "--sim", "none", "--threads", 1))
-        seen = {name: dict(Counter(r["outcome"] for r in run.trials(name).to_pylist())) for name in run.methods}
-        print(seen, flush=True)
-    ms = dict(zip(PARTS, (1e3 * clocks / (TIMED * len(methods))).tolist(), strict=True))
-    return {
-        "trials": TRIALS, "methods": methods, "checked": checked, "ms": ms,
-        "seen_trials": SEEN_TRIALS, "seen": seen, **made_by(MEASURES),
-    }  # fmt: skip
+    for name in run.methods:
+        columns = rows_of(run, name)
+        ids = list(columns)[:: max(len(columns) // CHECKED, 1)][:CHECKED]
+        trials = judge.trials(ids)
+        grasp, pose = poses_of([columns[i] for i in ids])
+        rest = moments(scene, trials)
+        found = picked(scene, grasp, rest, trials)
+        scores = judge.evaluator.score(grasp, pose, trials)
+        people = reception(scores)
+        for k, i in enumerate(ids):
+            row = columns[i]
+            own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
+            says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
+            if row["passed_pick"] != bool(own.picked):
+                says = f"{says} stored otherwise"
+            twin = Again(
+                scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
+                T_world_rest=rest[k],
+            )  # fmt: skip
+            others = [f.name for f in twin.findings() if not f.holds]
+            if row["passed_received"] is not None:
+                others += [f.name for f in reception_of(twin, people, k) if not f.holds]
+                if bool(people.received[k]) != row["passed_received"]:
+                    others.append("received is stored otherwise")
+            checked.append(
+                {
+                    "method": name,
+                    "trial": i,
+                    "picked": bool(own.picked),
+                    "carried": bool(row.get("q")),
+                    "received": bool(row["passed_received"]),
+                    "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
+                }
+            )
+    return checked
 
 
-PARTS = ("moment", "none", "present", "received", "taken")
-"""Drawing the moment, a kinematic trial without Pick, and the draft until each of its ends."""
+TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
+    "none": ((), "all"),
+    "present": (("pick",), "all"),
+    "received": (("pick", "received"), "all"),
+    "taken": (("pick", "received", "taken"), "all"),
+    "pose_none": ((), "pose"),
+    "pose": (("pick",), "pose"),
+}
+"""Calls that are timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
+WARM, ROUNDS = 4, 3
+"""Calls before the clock counts: the first compiles and caches, the next ones record small calls."""
 
 
-def timed(judge: Any, ids: list[int], grasp: torch.Tensor, pose: torch.Tensor) -> np.ndarray:
-    """Process seconds of `PARTS` on these rows; each evaluator is called once before."""
+def _cost(run: Any) -> dict[str, float]:
+    """Process milliseconds of a row (median of some rounds), of `TIMES` and of drawing its moment."""
     from dataclasses import replace
 
     from r2h_batch.config import EvalConfig, ExecConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.observe import moments
+    from r2h_batch.protocols.registry import named_benchmark
 
-    draft, config = judge.benchmark, EvalConfig(execute=ExecConfig(sim="none"))
-    clocks = []
-    trials = draft.trials_with_ids(torch.tensor(ids))
-    begin = time.process_time()
-    moments(judge.evaluator.scene, trials)
-    clocks.append(time.process_time() - begin)
-    for benchmark in (replace(draft, asks=()), *(draft.until(stage) for stage in PARTS[2:])):
-        evaluator, own = Evaluator(benchmark, config, threads=1), benchmark.trials_with_ids(torch.tensor(ids))
-        evaluator.score(grasp, pose, own)
-        begin = time.process_time()
-        evaluator.score(grasp, pose, own)
-        clocks.append(time.process_time() - begin)
-    return np.array(clocks)
+    rows: list[dict[str, Any]] = []
+    for name in run.methods:
+        columns = rows_of(run, name)
+        rows += [columns[i] for i in sorted(columns)[:TIMED]]
+    grasp, pose = poses_of(rows)
+    ids = torch.tensor([r["trial_id"] for r in rows])
+
+    def timed(call: Callable[[], object]) -> float:
+        spent = []
+        for _ in range(WARM + ROUNDS):
+            begin = time.process_time()
+            call()
+            spent.append(time.process_time() - begin)
+        return 1e3 * statistics.median(spent[WARM:]) / len(rows)
+
+    found: dict[str, float] = {}
+    draft = named_benchmark("r2h-v3-draft")
+    for name, (asks, stages) in TIMES.items():
+        benchmark = replace(draft, asks=asks)
+        evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
+        trials = benchmark.trials_with_ids(ids)
+        found[name] = timed(partial(evaluator.score, grasp, pose, trials, stages))
+        if "moment" not in found:
+            found["moment"] = timed(partial(moments, evaluator.scene, trials))
+    return found
 
 
 def rows_of(run: Any, name: str) -> dict[int, dict[str, Any]]:
@@ -289,20 +361,29 @@ def markdown(data: Any) -> str:
         for k, m in methods.items()
     ]
     sighted = short_names(list(data["seen"]))
+    seen_outcomes = {k: m.get("outcomes", m) for k, m in data["seen"].items()}
     n = 2 * data["seen_trials"]
     seen = [
         [sighted[k], rate(m.get("success", 0), n), *(f"{100 * m.get(c, 0) / n:.1f}" for c in order)]
-        for k, m in data["seen"].items()
+        for k, m in seen_outcomes.items()
     ]
-    failures = [*(m["outcomes"] for m in methods.values()), *data["seen"].values()]
+    failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
+    bound, few, more_cost = "", f"More than {data['seen_trials']} {FEW}", ""
+    if "rules" in data:  # runs before these figures lack them
+        bound, few = _bound_of(data, sighted)
+        cost += [
+            ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
+            ["the pose stage with Pick", f"{ms['pose']:.3f}"],
+        ]
+        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
         [short[k], of, *(f"{100 * m['reasons'].get(r, 0) / of:.1f}" for r in reasons)]
         for k, m in methods.items()
         if (of := sum(m["reasons"].values()))
     ]
-    bound = methods["oracle"]
-    lost = Counter(bound["lost"])
+    oracle = methods["oracle"]
+    lost = Counter(oracle["lost"])
     checked = data["checked"]
     wrong = [f"{short[c['method']]}, trial {c['trial']}: {c['wrong']}" for c in checked if c["wrong"]]
     known, names = certified_trials()
@@ -320,11 +401,15 @@ def markdown(data: Any) -> str:
         commit=data["commit"][:12],
         load=data["hardware"]["load_at_start"],
         stages=markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
+        bound=bound,
+        few=few,
+        more_cost=more_cost,
+        at_once=" in one call" if "rules" in data else "",
         idle=", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
         sees=SEES,
         seen_trials=data["seen_trials"],
         seen=markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
-        n=bound["n"],
+        n=oracle["n"],
         unsolved=sum(lost.values()),
         unsolved_words=", ".join(f"{k.replace('_', ' ')} {v}" for k, v in lost.most_common()) or "none",
         causes=markdown_table(["", "trials", *(r.replace("_", " ") for r in reasons)], causes),
@@ -350,6 +435,20 @@ def markdown(data: Any) -> str:
     )
 
 
+def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, str]:
+    """The robust search less the best published rule on the same trials, and what is missing if that is not decided."""
+    from r2h_batch.report.statistics.intervals import paired_score_interval
+
+    seen = data["seen"]
+    best = max(data["rules"], key=lambda k: seen[k]["won"].count("1"))
+    robust = data["robust"]
+    pairs = Counter(zip(seen[best]["won"], seen[robust]["won"], strict=True))
+    more, less, n = pairs["0", "1"], pairs["1", "0"], len(seen[best]["won"])
+    low, high = (100 * x for x in paired_score_interval(more, less, n))
+    words = BOUND.format(best=short[best], points=100 * (more - less) / n, low=low, high=high)
+    return words, "" if low >= LEAST_POINTS else f"More than {data['seen_trials']} {FEW}"
+
+
 def certified_trials() -> tuple[Any, list[str]]:
     """The shipped certificates, and the object that each of their trials had as it was drawn first."""
     from dataclasses import replace
@@ -364,6 +463,12 @@ def certified_trials() -> tuple[Any, list[str]]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--trials", type=int, default=100, help="of each split, told the truth")
+    parser.add_argument("--seen-trials", type=int, default=20, help="of each split of the seeing track")
+    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument(
+        "--parts", type=Path, help="folder where rows and finished parts are kept: a stopped bench goes on"
+    )
     page_from(parser, ROOT / "bench" / "results" / "whole.json", PAGE, measured, markdown)
 
 

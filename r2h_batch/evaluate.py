@@ -283,7 +283,7 @@ class Evaluator(Prepared):
         held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
         active = held.active
         if self.plans_in is None:
-            picked = self._picked(held, T_obj_ee, trials, paths=True)
+            picked = self._picked(held, T_obj_ee, trials, ways=True)
             planned, missed_m, t_plan_s = self._plan(held, trials, picked)
         else:
             picked, planned, missed_m, t_plan_s = self._believed(held, T_obj_ee, trials)
@@ -385,7 +385,7 @@ class Evaluator(Prepared):
             seen = attach_object(
                 world.scene, grasps, held.T_world_ee[rows], world.trials, self.config
             )
-            own = judge_picks(world.scene, grasps, rest, world.trials, paths=True)
+            own = judge_picks(world.scene, grasps, rest, world.trials)
             plan, missed, seconds = self.in_scene(world.scene)._plan(seen, world.trials, own)
             put(picked, rows, own)
             put(planned, rows, plan)
@@ -437,7 +437,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=executed.valid,
-            picked=self._picked(held, T_obj_ee, trials, paths=True),
+            picked=self._picked(held, T_obj_ee, trials, ways=True),
         )
         region = presented(scene, held, self.config.thresholds)
         return motion_scores(
@@ -507,7 +507,7 @@ class Evaluator(Prepared):
             nearest=nearest,
             person=person,
             valid=None,
-            picked=self._picked(held, T_obj_ee, trials, paths=False),
+            picked=self._picked(held, T_obj_ee, trials, ways=False),
         )
         found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
         if person is not None:
@@ -549,16 +549,16 @@ class Evaluator(Prepared):
         return found, nearest
 
     def _picked(
-        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, paths: bool
+        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, ways: bool
     ) -> "Picked | None":
         """Whether the arm picks the objects where they rest; None where the benchmark does not ask.
-        `paths`: it also gets there from home."""
+        `ways`: also by the ways to the grasp and up from it."""
         if "pick" not in self.benchmark.asks:
             return None
         from r2h_batch.judge.pick import judge_picks
 
         T_world_obj = self._moments(held, trials)
-        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, paths=paths)
+        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, ways=ways)
 
     def picks(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "Picked":
         """How the arm picks, or fails to, as a part of the verdict on B handovers.
@@ -578,7 +578,7 @@ class Evaluator(Prepared):
             held = attach_object(self.scene, T_obj_ee, T_world_ee, trials, self.config)
             if self.plans_in is not None:
                 return self._believed(held, T_obj_ee, trials)[0]
-            found = self._picked(held, T_obj_ee, trials, paths=True)
+            found = self._picked(held, T_obj_ee, trials, ways=True)
         assert found is not None  # the benchmark asks for it
         return found
 

@@ -231,7 +231,13 @@ class Prepared(ABC):
             with self.working():
                 return self._score(T_obj_ee, T_world_ee, trials, "pose")
 
-        return pose_hint(scores, T_obj_ee.detach(), T_world_ee.detach(), trials, judge)
+        resting = None
+        if "pick" in self.benchmark.asks:
+            from r2h_batch.observe.known import known_moments
+
+            resting = known_moments(self.scene).of
+        poses = T_obj_ee.detach(), T_world_ee.detach()
+        return pose_hint(scores, *poses, trials, judge, resting)
 
     def motion_hint(
         self,

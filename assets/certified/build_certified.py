@@ -1,13 +1,15 @@
 """Draws trials of r2h-v3-draft again until the oracle's search finds a whole way, and writes r2h-v3-draft.npz.
 
-`python assets/certified/build_certified.py --trials 100` certifies the first 100 trials of each split by all criteria, with the
+`python assets/certified/build_certified.py --trials 500` certifies the first 500 trials of each split by all criteria, with the
 motion as planned. A trial that the search does not solve is drawn again up to `MOST` times: the next object of its split, person,
-hand and moment. Answers that the file holds already are kept (`--anew`: they are not).
+hand and moment. Answers that the file holds already are kept (`--anew`: they are not). The file is written after each `--part`
+trials; a run that was stopped goes on behind them.
 """
 
 import argparse
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -15,7 +17,13 @@ import torch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
-from r2h_batch.protocols.certified import NEVER, Certified, load_certified, save_certified
+from r2h_batch.protocols.certified import (
+    NEVER,
+    Certified,
+    joined_certified,
+    read_certified,
+    save_certified,
+)
 from r2h_batch.protocols.registry import named_benchmark
 
 NAME = "r2h-v3-draft"
@@ -26,19 +34,32 @@ MOST = 9
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100, help="of each split")
+    parser.add_argument("--trials", type=int, default=500, help="of each split")
+    parser.add_argument("--part", type=int, default=200, help="trials after which the file is written")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--anew", action="store_true", help="ask for all trials, also for those that the file knows")
     options = parser.parse_args()
     plain = replace(named_benchmark(NAME), certified=None)
     ids = np.sort(plain.trials(options.trials).trial_id.numpy())
-    redraws = np.zeros(len(ids), np.int64)
-    solved = np.zeros(len(ids), bool)
+    known = None
+    if not options.anew and options.out.exists():
+        before = read_certified(options.out)
+        if before.benchmark == plain.undrawn_digest:
+            known = before
+            ids = ids[~before.knows(ids)]
+    for i in range(0, len(ids), options.part):
+        found = certified(plain, ids[i : i + options.part])
+        known = found if known is None else joined_certified(known, found)
+        unfinished = options.out.with_suffix(".unfinished.npz")
+        save_certified(unfinished, known)
+        unfinished.replace(options.out)
+        print(f"{len(known.trial_id)} trials, {int((known.redraws > 0).sum())} of them drawn again", flush=True)
+
+
+def certified(plain: Any, ids: np.ndarray) -> Certified:
+    """These trials of a benchmark without certificates, each drawn again until the search solves it."""
+    redraws, solved = np.zeros(len(ids), np.int64), np.zeros(len(ids), bool)
     grasp, pose = (np.tile(np.eye(4, dtype=np.float32), (len(ids), 1, 1)) for _ in range(2))
-    known = load_certified(NAME)
-    if not options.anew and known.benchmark == plain.undrawn_digest:
-        solved, grasp, pose = known.answers(ids)
-        solved, redraws = solved.copy(), known.redraws_of(ids)
     for k in range(MOST + 1):
         todo = np.flatnonzero(~solved)
         if not len(todo):
@@ -56,7 +77,7 @@ def main() -> None:
         solved[rows] = True
         print(f"drawn {k + 1} times: {won.sum()} of {len(todo)} solved", flush=True)
     redraws[~solved] = NEVER
-    save_certified(options.out, Certified(ids, redraws, solved, grasp, pose, plain.undrawn_digest))
+    return Certified(ids, redraws, solved, grasp, pose, plain.undrawn_digest)
 
 
 if __name__ == "__main__":

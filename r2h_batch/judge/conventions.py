@@ -81,6 +81,7 @@ def pose_hint(
     T_world_ee: Tensor,
     trials: Trials,
     judge: Callable[[Tensor, Tensor, Trials], Scores],
+    resting: Callable[[Trials], Tensor] | None = None,
 ) -> str | None:
     """One line about poses that fail alike and pass in another convention; None: nothing is found.
 
@@ -90,6 +91,7 @@ def pose_hint(
         T_world_ee: (B, 4, 4) handover poses, m.
         trials: B trials.
         judge: judges poses of trials, at least at the handover.
+        resting: says where the objects of trials rest (T_world_obj, m), where the benchmark begins at the table.
     """
     rows = _eight(scores)
     if rows is None:
@@ -102,6 +104,10 @@ def pose_hint(
             " TCP goes, as a rule 12 to 15 cm in front of the palm"
         )
     others = other_poses(*given)
+    if resting is not None:
+        there = se3.inverse(resting(trials[rows]).to(given[0]))
+        words = "T_obj_ee taken from the world into the object's frame: inverse(T_world_obj) times the grasp on the table"
+        others[words] = (se3.matmul(there, given[0]), given[1])
     grasps, handovers = zip(given, *others.values(), strict=True)
     times = torch.arange(ROWS, dtype=torch.int64, device=rows.device).repeat(1 + len(others))
     found = judge(torch.cat(grasps), torch.cat(handovers), trials[rows][times])

@@ -40,6 +40,9 @@ from r2h_batch.verdicts import PickReason
 OBJECT_PARTS, CLOSING_PARTS = 16, 4
 CLOSING_CAP_M = 0.02
 """Clearances of closing fingers are measured up to this one: no point goes as far above 1 cm within a first part."""
+FAR_FROM_M = 0.002
+"""A path that the planner measured this much farther from everything than the cap is not measured again: it is exact
+to a tenth."""
 ROWS = 512
 """Rows that are judged at a time."""
 
@@ -116,7 +119,7 @@ def picked(
 
 def judge_picks(
     scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, *,
-    paths: bool = True, told: Callable[[int], None] = lambda rows: None,
+    ways: bool = True, told: Callable[[int], None] = lambda rows: None,
 ) -> Picked:  # fmt: skip
     """`picked` of checked inputs.
 
@@ -125,13 +128,13 @@ def judge_picks(
         T_obj_ee: (B, 4, 4) grasps, m.
         T_world_obj: (B, 4, 4) where the objects rest, m.
         trials: B trials.
-        paths: also look for the path from home; else Pick is the stages before it.
+        ways: also judge the ways to the grasp and up from it; else Pick is what it asks at the grasp: the first two stages.
         told: is called with the number of rows of each batch that is done.
     """
     parts = []
     for i in range(0, max(len(trials), 1), ROWS):
         grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
-        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS], paths).judged())
+        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged(ways))
         told(len(grasp))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
@@ -153,7 +156,7 @@ def follow_picks(
     parts = []
     for i in range(0, max(len(trials), 1), ROWS):
         own = slice(i, i + ROWS)
-        batch = _Batch.of(scene, T_obj_ee[own], T_world_obj[own], trials[own], paths=True)
+        batch = _Batch.of(scene, T_obj_ee[own], T_world_obj[own], trials[own])
         parts.append(batch.followed(planned[own]))
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
@@ -247,12 +250,9 @@ class _Batch:
     T_world_obj: Tensor
     T_world_ee: Tensor
     T_world_hand: Tensor
-    paths: bool  # from home
 
     @staticmethod
-    def of(
-        scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials, paths: bool
-    ) -> "_Batch":
+    def of(scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials) -> "_Batch":
         """Rows whose poses are poses are active."""
         usable = over_trials(usable_rows, len(trials), scene.device, chunk=4096)(
             objects=len(scene.objects),
@@ -267,16 +267,16 @@ class _Batch:
         T_world_ee = se3.matmul(usable["T_world_ee"], T_obj_ee)
         return _Batch(
             scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee,
-            usable["T_world_ee"], T_world_ee, usable["T_world_hand"], paths,
+            usable["T_world_ee"], T_world_ee, usable["T_world_hand"],
         )  # fmt: skip
 
     def some(self, rows: Tensor) -> "_Batch":
         """These rows alone."""
-        every = {f.name: getattr(self, f.name)[rows] for f in fields(_Batch)[1:-1]}
+        every = {f.name: getattr(self, f.name)[rows] for f in fields(_Batch)[1:]}
         return replace(self, **every)
 
-    def judged(self) -> Picked:
-        """All stages; a row goes on to the next one if no earlier stage fails."""
+    def judged(self, ways: bool) -> Picked:
+        """All stages, or the first two; a row goes on to the next one if no earlier stage fails."""
         scene, b = self.scene, len(self.objects)
         # reach
         ik = solve_ik(
@@ -303,32 +303,37 @@ class _Batch:
         reason[at[met]] = int(PickReason.GRASP_COLLIDES)
 
         free = at[~met]
-        rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
-        reason[free] = rest.reason.long()
-        found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
-        reason[~self.active] = int(PickReason.NOT_EVALUATED)
-        none = torch.full_like(found.clearance_m, torch.nan)
-        found = _Nearest(
-            *(torch.where(self.active, x, y) for x, y in zip(found, _margin(none), strict=True))
-        )
+        none = ik.q[:0, :0]  # (0, 0, J)
+        walked = {"off_m": ik.q[:0, 0, 0], "length": reason[:0].to(torch.int32)}
+        walked |= dict.fromkeys(("path", "way_in", "way_up"), none)
+        if ways:
+            rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
+            reason[free] = rest.reason.long()
+            found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
+            walked = {name: getattr(rest, name) for name in walked}
 
         def spread(x: Tensor, value: float) -> Tensor:
             out = torch.full((b, *x.shape[1:]), value, dtype=x.dtype, device=x.device)
-            out[free] = x
+            if ways:
+                out[free] = x
             return out
 
+        reason[~self.active] = int(PickReason.NOT_EVALUATED)
+        nothing = _margin(torch.full_like(found.clearance_m, torch.nan))
+        found = _Nearest(
+            *(torch.where(self.active, x, y) for x, y in zip(found, nothing, strict=True))
+        )
         return Picked(
             picked=reason == int(PickReason.OK),
             reason=reason.to(torch.int32),
             margin_m=found.clearance_m,
             pair=found.pair,
             body=found.body,
-            off_m=spread(rest.off_m, torch.nan),
             T_world_ee=self.T_world_ee,
-            path=spread(rest.path, 0.0),
-            length=spread(rest.length, 0),
-            way_in=spread(rest.way_in, torch.nan),
-            way_up=spread(rest.way_up, torch.nan),
+            **{
+                name: spread(x, 0 if name in ("path", "length") else torch.nan)
+                for name, x in walked.items()
+            },
         )
 
     def followed(self, planned: Picked) -> Picked:
@@ -484,10 +489,6 @@ class _Batch:
         up[row, slot] = lift.clearance_m > 0
         own = torch.nonzero(up.any(1)).flatten()
         if not len(own):
-            return
-        if not self.paths:
-            tried.slot[rows[own]] = up[own].to(torch.int8).argmax(1).to(torch.int32)
-            tried.way.clearance_m[rows[own]] = torch.inf
             return
         at, before = rows[own], ways.way_in[own, :, 0].contiguous()
         plan, way = self._way(at, before, up[own])
@@ -657,19 +658,11 @@ class _Batch:
             poses = self._bodies(self._gripper, row, opening(row, s))
             return self._along(poses, q[row][:, None], depths=True, cap_m=CLOSING_CAP_M)
 
-        radius = gripper_radii(scene)
+        way = fingers_way(scene)
 
         def travel(row: Tensor, low: Tensor, middle: Tensor, high: Tensor) -> Tensor:
-            (R0, p0), (R1, p1), (R2, p2) = (
-                gripper_poses(scene.robot, opening(row, s)) for s in (low, middle, high)
-            )
-            far = torch.zeros_like(low)
-            for R, p in ((R0, p0), (R2, p2)):
-                turn = (R - R1).double().square().flatten(2)
-                size = turn.sum(2).sqrt() / 2**0.5  # 2 sin(angle / 2)
-                moved = se3.dot((p - p1).double(), (p - p1).double()).sqrt() + radius * size
-                far = torch.maximum(far, moved.amax(1).float())
-            return far
+            first, half, last = (way.at(opening(row, s)) for s in (low, middle, high))
+            return torch.maximum((half - first).abs(), (last - half).abs())
 
         best, where = least_along(
             lambda row, s: at(row, s).clearance_m, travel, rows, len(q), parts=CLOSING_PARTS, cap_m=CUT_CAP_M
@@ -711,7 +704,11 @@ class _Batch:
             torch.where(at_posture[:, None], home, path[:, 0]),
         )
         length = torch.where(at_posture, 1, plan.length).to(torch.int32)
-        return plan, self._clear_of(rows, path, length)
+        way = _margin(torch.full_like(plan.clearance_m, CUT_CAP_M))
+        near = torch.nonzero(at_posture | (plan.clearance_m < CUT_CAP_M + FAR_FROM_M)).flatten()
+        if len(near):
+            way.put((near,), self._clear_of(rows[near], path[near], length[near]))
+        return plan, way
 
     def _clear_of(self, rows: Tensor, path: Tensor, length: Tensor) -> _Nearest:
         """Smallest clearances (R,) of the empty robot along paths from home: from the resting object, and from all else."""
@@ -766,6 +763,42 @@ def _of_slot(path: Tensor, slot: Tensor, some: Tensor) -> Tensor:
     return torch.where(some[:, None, None], own, torch.nan)
 
 
+CELLS = 1024
+"""Openings between which the fingers' way is tabled: 0.1 mm of a gripper that opens 10 cm."""
+
+
+class FingersWay(NamedTuple):
+    """How far the fingers have come, from shut to an opening: at most, of all points of the gripper together.
+
+    Attributes:
+        step_m: between the openings of the table.
+        way_m: (CELLS + 1,) at these openings, from 0.
+    """
+
+    step_m: float
+    way_m: Float32[Tensor, " c"]
+
+    def at(self, opening_m: Float32[Tensor, " b"]) -> Float32[Tensor, " b"]:
+        """At these openings, m, by straight lines between those of the table."""
+        cell = opening_m / self.step_m
+        low = cell.floor().clamp(0, len(self.way_m) - 2)
+        first, last = self.way_m[low.long()], self.way_m[low.long() + 1]
+        return first + (cell - low) * (last - first)
+
+
+@lru_cache(maxsize=4)
+def fingers_way(scene: Scene) -> FingersWay:
+    """The way of a scene's fingers: from one opening to the next no point goes farther than its middle does and its radius
+    times the turn."""
+    step = scene.robot.open_gap_m / CELLS
+    opening = step * torch.arange(CELLS + 1, dtype=torch.float32, device=scene.device)
+    R, p = (x.double() for x in gripper_poses(scene.robot, opening))
+    turn = R.diff(dim=0).square().flatten(2).sum(2).sqrt() / 2**0.5  # 2 sin(angle / 2)
+    moved = p.diff(dim=0).square().sum(2).sqrt() + gripper_radii(scene) * turn
+    way = torch.cumsum(torch.cat([moved.new_zeros(1), moved.amax(1)]), 0)
+    return FingersWay(step, way.float())
+
+
 @lru_cache(maxsize=4)
 def gripper_radii(scene: Scene) -> Tensor:
     """No point of a gripper primitive is farther from its middle (m), (G,) float64."""
@@ -796,7 +829,7 @@ def closing_room(
     nobody[:, 0, 3] = FAR_M
     number = torch.arange(len(q), dtype=torch.int64, device=q.device)
     trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
-    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials, paths=False)
+    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials)
     limits = scene.config.thresholds
     grasp = close_gripper(
         scene.grasp_tables, batch.T_obj_ee.contiguous(), batch.objects, w_max=limits.w_max_m,

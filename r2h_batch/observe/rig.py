@@ -66,18 +66,18 @@ class Sensor(_Part):
         mask_missed: share of masks that are not there where labels are asked to miss some.
     """
 
-    baseline_m: Annotated[float, Field(ge=0.001, le=1)] = 0.050
-    disparity_px: Annotated[float, Field(ge=0, le=10)] = 0.08
+    baseline_m: Annotated[float, Field(ge=0.001, le=1, allow_inf_nan=False)] = 0.050
+    disparity_px: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.08
     disparity_side_px: Annotated[int, Field(ge=1, le=64)] = 2
-    lateral_px: Annotated[float, Field(ge=0, le=10)] = 0.5
+    lateral_px: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.5
     edge_m: _Length = 0.02
     edge_lost: _Share = 0.3
     edge_flying: _Share = 0.3
-    steepest_deg: Annotated[float, Field(ge=0, le=90)] = 80.0
+    steepest_deg: Annotated[float, Field(ge=0, le=90, allow_inf_nan=False)] = 80.0
     lost: _Share = 0.005
-    step_m: Annotated[float, Field(ge=1e-5, le=0.1)] = 0.0001
+    step_m: Annotated[float, Field(ge=1e-5, le=0.1, allow_inf_nan=False)] = 0.0001
     calibration_m: _Length = 0.002
-    calibration_deg: Annotated[float, Field(ge=0, le=10)] = 0.2
+    calibration_deg: Annotated[float, Field(ge=0, le=10, allow_inf_nan=False)] = 0.2
     mask_px: Annotated[int, Field(ge=0, le=16)] = 2
     mask_missed: _Share = 0.05
 
@@ -99,7 +99,7 @@ class Rig(_Part):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9_.-]{1,40}$")]
     width: _Pixels = 1280
     height: _Pixels = 720
-    focal_px: Annotated[float, Field(ge=16, le=1e5)] = 650.0
+    focal_px: Annotated[float, Field(ge=16, le=1e5, allow_inf_nan=False)] = 650.0
     object_px: _Window = 192
     hand_px: _Window = 128
     cameras: Annotated[tuple[Camera, ...], Field(min_length=1, max_length=8)]

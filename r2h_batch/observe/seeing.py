@@ -16,7 +16,7 @@ from r2h_batch.observe.estimates import (
     told_region,
 )
 from r2h_batch.observe.moment import moments
-from r2h_batch.observe.rays import bodies_of
+from r2h_batch.observe.rays import FAR_M, bodies_of
 from r2h_batch.observe.rig import Rig
 from r2h_batch.observe.seen import LABELS, Images, Observation
 from r2h_batch.observe.sensor import MASKS, MOST_NOISE, Errors, Masks
@@ -195,14 +195,18 @@ def _check_cameras(scene: Scene, trials: Trials, rig: Rig, T_world_obj: Tensor) 
 
 
 def _check_in_view(scene: Scene, trials: Trials, rig: Rig, about: Float64[Tensor, "n 3"]) -> None:
-    """Refuses rigs of which no camera has an object's middle in its image."""
+    """Refuses rigs of which no camera has an object's middle in its image, and near enough."""
     at, z = projected(rig, about)
     sensor = torch.tensor(rig.sensor_px, dtype=torch.float64, device=at.device)
     inside = ((at >= 0) & (at < sensor)).all(2) & (z > NEAREST_M)
-    if not bool(inside.any(1).all()):
-        row = int((~inside.any(1)).nonzero()[0])
+    seen = inside & (z < FAR_M)
+    if not bool(seen.any(1).all()):
+        row = int((~seen.any(1)).nonzero()[0])
         name = scene.objects[int(trials.object_index[row])].name
+        what = "is in no camera's image; turn a camera towards the table"
+        if bool(inside[row].any()):
+            away = float(z[row][inside[row]].min())
+            what = f"is {away:.1f} m from the nearest camera that looks at it; they see {FAR_M:g} m"
         raise UsageError(
-            f"rig {rig.name}: object {name} of trial {int(trials.trial_id[row])} is in no camera's image; turn a camera"
-            " towards the table"
+            f"rig {rig.name}: object {name} of trial {int(trials.trial_id[row])} {what}"
         )

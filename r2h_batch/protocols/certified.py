@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 NEVER = 0
 """Redraws of a trial for which nothing was found: it stays the first one, without an answer."""
+_ARRAYS = ("trial_id", "redraws", "solved", "T_obj_ee", "T_world_ee")
 
 
 class Answers(NamedTuple):
@@ -82,16 +83,35 @@ def load_certified(name: str) -> Certified:
     Args:
         name: of the benchmark.
     """
-    with (
-        as_file(files("r2h_batch.assets") / "certified" / f"{name}.npz") as path,
-        np.load(path, allow_pickle=False) as file,
-    ):
+    with as_file(files("r2h_batch.assets") / "certified" / f"{name}.npz") as path:
+        return read_certified(path)
+
+
+def read_certified(path: Path) -> Certified:
+    """A file that `save_certified` wrote."""
+    with np.load(path, allow_pickle=False) as file:
         own = {k: file[k] for k in file.files}
     return Certified(**{**own, "benchmark": str(own["benchmark"])})
 
 
+def joined_certified(before: Certified, found: Certified) -> Certified:
+    """Trials of both, sorted by their ids; of a trial that is in both, what was `found`.
+
+    Args:
+        before: trials of a benchmark.
+        found: trials of the same benchmark.
+    """
+    if before.benchmark != found.benchmark:
+        raise ValueError("these are trials of two benchmarks; join those of one")
+    kept = ~np.isin(before.trial_id, found.trial_id)
+    order = np.argsort(np.concatenate([before.trial_id[kept], found.trial_id]), kind="stable")
+    columns = {
+        k: np.concatenate([getattr(before, k)[kept], getattr(found, k)])[order] for k in _ARRAYS
+    }
+    return Certified(**columns, benchmark=before.benchmark)
+
+
 def save_certified(path: Path, certified: Certified) -> None:
     """Writes a file of certificates."""
-    names = ("trial_id", "redraws", "solved", "T_obj_ee", "T_world_ee")
-    arrays = {k: getattr(certified, k) for k in names}
+    arrays = {k: getattr(certified, k) for k in _ARRAYS}
     np.savez_compressed(path, **arrays, benchmark=np.array(certified.benchmark))

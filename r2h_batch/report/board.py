@@ -185,6 +185,8 @@ def standing_of(
 
 def _against(run: Run, baselines: Run, common: Common) -> dict[str, Against]:
     """The comparisons of a run's only method with all baselines, corrected for their number."""
+    if not baselines.entries:
+        return {}
     own = [replace(e, name=f"baseline {e.name}") for e in baselines.entries]
     paired = pair_up([run, replace(baselines, entries=tuple(own))], common)
     compared = compare(paired, mine=paired.names[:1], draws=1)[-1]
@@ -245,7 +247,7 @@ class Section:
 
     Attributes:
         setting: name -> value of what all of them share, as the baselines' run says it.
-        baselines: names of the baselines.
+        baselines: names of the baselines; none of a draft.
         standings: all lines, baselines among them.
     """
 
@@ -264,17 +266,37 @@ def section_of(
         standings: their lines.
         more: name -> value of what else they share.
     """
-    header = baselines.header
-    setting = {
+    own = standings_of_baselines(baselines)
+    setting = {**setting_of(baselines), **(more or {})}
+    return Section(setting, baselines.methods, (*own, *standings))
+
+
+def setting_of(run: Run) -> dict[str, str]:
+    """Settings that all methods of a section share: name -> value.
+
+    Args:
+        run: one of them.
+    """
+    header = run.header
+    return {
         "protocol": str(header["protocol"]),
-        "robot": baselines.robot,
+        "robot": run.robot,
         "preset": str(header["configuration"].get("name", "")),
         "motion": str(header["configuration"].get("execute", {}).get("sim", "")),
         "digest of trials": str(header["digests"]["trials"])[:12],
-        **(more or {}),
     }
-    own = standings_of_baselines(baselines)
-    return Section(setting, baselines.methods, (*own, *standings))
+
+
+def section_of_draft(run: Run) -> dict[str, str]:
+    """`setting_of` a run of a draft, whose section has no baselines: it says so.
+
+    Args:
+        run: one of the section.
+    """
+    setting = setting_of(run)
+    digest = run.header["digests"].get("benchmark", run.header["digests"]["trials"])
+    setting["digest of trials"] = str(digest)[:12]
+    return setting | {"a draft": "its trials may change; not to be published; no baselines"}
 
 
 def page(sections: Sequence[Section], *, least: int) -> str:

@@ -90,7 +90,8 @@ def leaderboard(
 ) -> int:
     """Judge a sample of each submission's rows again, and write a static page that ranks their methods.
 
-    Each method is compared with the baselines on its own trials. `(submitted)` marks methods that did
+    Each method is compared with the baselines on its own trials; of a draft none are stored, and its section says
+    so. `(submitted)` marks methods that did
     not answer again with the same bits on this machine. A process of its own judges each submission.
     The command names and leaves out submissions that fail. Exit code 0: all are listed. Exit code 1:
     some are left out.
@@ -109,7 +110,7 @@ def leaderboard(
         overwrite: replace a page of this name.
     """
     from r2h_batch.base.errors import FileError
-    from r2h_batch.report.board import page, section_of
+    from r2h_batch.report.board import Section, page, section_of
     from r2h_batch.report.compare.stored import load_baselines
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.submission_judge import Hidden, judge_alone
@@ -130,7 +131,8 @@ def leaderboard(
         told = edited(benchmark)
         promise = Hidden(check_told(hidden, told), told.digest, told.seed)
     each = _each(submissions)
-    found: defaultdict[Path, list[Standing]] = defaultdict(list)
+    # what is judged alike: the baselines' folder, or the setting of a draft that has none
+    found: defaultdict[Path | tuple[tuple[str, str], ...], list[Standing]] = defaultdict(list)
     left_out = 0
     for path, name in each.items():
         try:
@@ -147,18 +149,22 @@ def leaderboard(
             left_out += 1
             LOG.info(f"leaderboard: {printable(path)} is left out: {error}")
             continue
-        known = {s.digest: s for s in found[verdict.baselines]}
+        alike = verdict.baselines or tuple(verdict.setting.items())
+        known = {s.digest: s for s in found[alike]}
         for standing in verdict.standings:
             if (same := known.get(standing.digest)) is not None:
                 left_out += 1
                 words = f"its rows are those of {printable(same.method)} of {same.submission}"
                 LOG.info(f"leaderboard: {name}: {printable(standing.method)} is left out: {words}")
                 continue
-            found[verdict.baselines].append(standing)
+            found[alike].append(standing)
             LOG.info(f"leaderboard: {name}: {printable(standing.method)}")
+        more = {} if promise is None else promise.setting
         sections = [
-            section_of(load_baselines(folder), own, {} if promise is None else promise.setting)
-            for folder, own in found.items()
+            section_of(load_baselines(key), own, more)
+            if isinstance(key, Path)
+            else Section(dict(key) | more, (), tuple(own))
+            for key, own in found.items()
             if own
         ]
         if sections:  # after each submission: judging takes minutes, and what is known is shown

@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -21,9 +21,14 @@ from r2h_batch.base.io.child import answer_parent, read_in_child
 from r2h_batch.base.io.read import archive_members, open_archive, printable
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.hidden import Commitment
-from r2h_batch.report.board import Judged, Standing, standing_of
+from r2h_batch.report.board import Judged, Standing, section_of_draft, standing_of
 from r2h_batch.report.compare.shipped_answers import answers_of_shipped
-from r2h_batch.report.compare.stored import baselines_for, load_baselines, stored_rows
+from r2h_batch.report.compare.stored import (
+    baselines_for,
+    has_baselines,
+    load_baselines,
+    stored_rows,
+)
 from r2h_batch.report.statistics.common import Common, common_trials
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.verdicts import SPLITS
@@ -64,12 +69,14 @@ class Verdict:
     """A submission that passed.
 
     Attributes:
-        baselines: the run folder that it was compared with.
+        baselines: the run folder that it was compared with; None: a draft, of which none is stored.
         standings: a line for each of its methods.
+        setting: of a draft, what all lines of its section share.
     """
 
-    baselines: Path
+    baselines: Path | None
     standings: tuple[Standing, ...]
+    setting: dict[str, str] = field(default_factory=dict)
 
 
 def judge_alone(
@@ -178,8 +185,13 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
     run = load_run(folder, verify=False)
     if (hidden := asked["hidden"]) is not None:
         _check_hidden(run, hidden["digest"], hidden["trials"])
-    place = Path(asked["baselines"]) if asked["baselines"] else baselines_for(run.header)
-    baselines = load_baselines(place, verify=False)
+    place: Path | None = None
+    baselines, setting = replace(run, entries=()), {}
+    if asked["baselines"] or has_baselines(run.header):
+        place = Path(asked["baselines"]) if asked["baselines"] else baselines_for(run.header)
+        baselines = load_baselines(place, verify=False)
+    else:
+        setting = section_of_draft(run)
     common = _common(run, baselines)  # first: then its configuration is that of the baselines
     run.verify(whole=True)
     flags: dict[str, Any] = {
@@ -198,7 +210,7 @@ def _verdict(asked: Mapping[str, Any], folder: Path) -> Verdict:
         )
         for method in run.methods
     ]
-    return Verdict(place, tuple(standings))
+    return Verdict(place, tuple(standings), setting)
 
 
 def _check_hidden(run: Run, digest: str, trials: int) -> None:

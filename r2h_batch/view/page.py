@@ -52,6 +52,7 @@ class Drawn:
         names = [str(model.body(i).name) for i in range(model.nbody)]
         frames = (scene.add_frame(f"{name}/{body}", show_axes=False) for body in names[1:])
         self.bodies = dict(enumerate(frames, 1))
+        self.open: Any = None
         self._pose(drawing.stored.target_q, list(self.bodies))
         self.moving = [i for i in self.bodies if names[i] not in FIXED]
         fails = drawing.stored.row["outcome"] != "success"
@@ -64,16 +65,65 @@ class Drawn:
             body = "" if mark.body == "world" else f"/{mark.body}"
             self._add_mark(f"{name}{body}/{mark.group}_mark_{k}", mark)
         self.show("target", not drawing.stored.moves)
+        self.open = self._open_gripper()
+        self.stretches: list[tuple[float, Drawing, Array, Array]] = []
+
+    def play(self, executed: bool = True) -> float:
+        """Gets the motion ready, the legs before it too, for `at`; its duration, s.
+
+        Args:
+            executed: as of `Drawing.motion`.
+        """
+        self.stretches, start_s = [], 0.0
+        for drawing in (*self.drawing.legs, self.drawing):
+            times, q = drawing.motion(executed)
+            self.stretches.append((start_s, drawing, times, q))
+            start_s += float(times[-1])
+        return start_s
+
+    def at(self, time_s: float) -> None:
+        """Puts the robot and the object where they are at a time of `play`.
+
+        Args:
+            time_s: since the motion, or its first leg, began.
+        """
+        start_s, drawing, times, q = [x for x in self.stretches if x[0] <= time_s + 1e-9][-1]
+        self._pose(q[np.abs(times - (time_s - start_s)).argmin()], self.moving, drawing)
 
     def pose(self, q: Array) -> None:
         """Puts the robot and what it holds at posture q (joints,) rad."""
         self._pose(q, self.moving)
 
-    def _pose(self, q: Array, bodies: Sequence[int]) -> None:
-        data = self.drawing.at(q)
+    def _pose(self, q: Array, bodies: Sequence[int], drawing: Drawing | None = None) -> None:
+        drawing = drawing or self.drawing
+        data, model, own = drawing.at(q), drawing.model, self.drawing.model
         for i in bodies:
+            # a leg is a model of its own, in which the object may stand elsewhere in the tree
+            k = i if model is own else int(model.body(own.body(i).name).id)
             handle = self.bodies[i]
-            handle.position, handle.wxyz = data.xpos[i].copy(), data.xquat[i].copy()
+            handle.position, handle.wxyz = data.xpos[k].copy(), data.xquat[k].copy()
+        if self.open is not None:
+            opened = drawing.stored.resting is not None
+            body = data.body("gripper")
+            self.open.position, self.open.wxyz = body.xpos.copy(), body.xquat.copy()
+            self.open.visible = opened
+            self.bodies[int(own.body("gripper").id)].visible = not opened
+
+    def _open_gripper(self) -> Any:
+        """The gripper of the leg in which it has not closed, hidden; None: there is no such leg."""
+        legs = [leg for leg in self.drawing.legs if leg.stored.resting is not None]
+        if not legs:
+            return None
+        leg, path = legs[0], f"{self.name}/gripper_open"
+        frame = self.scene.add_frame(path, show_axes=False, visible=False)
+        for g in leg.visual_geoms():
+            if leg.body_of(g) == "gripper":
+                made = leg.surface(g)
+                name = f"{path}/{leg.model.geom(g).name.replace('/', '_')}"
+                self.scene.add_mesh_simple(
+                    name, made.vertices, made.faces, color=_rgb(made.rgba), flat_shading=True
+                )
+        return frame
 
     def show(self, group: str, shown: bool) -> None:
         """Shows or hides one group of MARKS."""
@@ -175,12 +225,12 @@ def page_of(drawings: Sequence[Drawing]) -> str:
             Drawn(server.scene, d, view, f"/trial_{k}", APART_M * k) for k, d in enumerate(drawings)
         ]
         recording = server.get_scene_serializer()
-        motions = [(d, *d.drawing.motion()) for d in drawn if d.drawing.stored.moves]
-        end = max((float(times[-1]) for _, times, _ in motions), default=0.0)
-        at = np.linspace(0.0, end, max(2, round(end * FRAMES_PER_S)) if motions else 0)
+        moving = [d for d in drawn if d.drawing.stored.moves]
+        end = max((d.play() for d in moving), default=0.0)
+        at = np.linspace(0.0, end, max(2, round(end * FRAMES_PER_S)) if moving else 0)
         for k, t in enumerate(at):
-            for d, times, q in motions:
-                d.pose(q[np.abs(times - t).argmin()])
+            for d in moving:
+                d.at(float(t))
             recording.insert_sleep(float(at[k + 1] - t) if k + 1 < len(at) else REST_S)
         html: str = recording.as_html()
     finally:

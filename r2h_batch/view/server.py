@@ -93,7 +93,6 @@ class Viewer:
         self.server = new_server(port)
         self.address = f"http://127.0.0.1:{self.server.get_port()}"
         self.drawn: list[Drawn] = []
-        self.motions: list[tuple[Any, Any]] = []
         self.listed: dict[str, int] = {}
         light(self.server)
         self._add_controls(names, first)
@@ -191,7 +190,7 @@ class Viewer:
         with self.lock:
             for drawn in self.drawn:
                 drawn.root.remove()
-            self.drawn, self.motions, words = [], [], []
+            self.drawn, words, last = [], [], 0.0
             trial, drawings = self.listed.get(self.list.value), []
             for name in dict.fromkeys((self.method.value, self.beside.value)):
                 if trial is None or name == NO_METHOD:
@@ -209,14 +208,13 @@ class Viewer:
                     ghost = mark == "target" and drawing.stored.moves
                     drawn.show(mark, bool(box.value) and not ghost)
                 self.drawn.append(drawn)
-                self.motions.append(drawing.motion(self.kind.value == "executed"))
+                last = max(last, drawn.play(self.kind.value == "executed"))
             self.words.content = "\n\n---\n\n".join(words)
-            last = max((float(times[-1]) for times, _ in self.motions), default=0.0)
             self.slider.max = max(last, 0.01)
             self.slider.value = last
         self._pose()
 
     def _pose(self) -> None:
         with self.lock:
-            for drawn, (times, q) in zip(self.drawn, self.motions, strict=True):
-                drawn.pose(q[np.abs(times - self.slider.value).argmin()])
+            for drawn in self.drawn:
+                drawn.at(self.slider.value)

@@ -14,6 +14,7 @@ from table_twin import TableTwin
 from r2h_batch import load_benchmark
 from r2h_batch.closed_loop import Picks, TableHandoverEnv, play
 from r2h_batch.closed_loop import from_table as tables
+from r2h_batch.closed_loop.arm import ee_and_jacobian
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.episodes import Loop, env_class
 from r2h_batch.closed_loop.from_table import Phase
@@ -249,6 +250,23 @@ def together(env, ask):
         return ask(running) if waiting >= set(running.tolist()) else rows[:0]
 
     return held
+
+
+def test_the_object_alone_may_go_as_deep_as_the_pads_give():
+    """Straight down at the grasp, where the gripper itself stays clear of the table."""
+    env, free = closed_at_grasp(), {}
+    _, jacobian = ee_and_jacobian(env.scene.robot, env.q)
+    for down_m in each((0.0003, 0.003)):
+        twist = torch.zeros(4, 6, dtype=torch.float64)
+        twist[:, 2] = -down_m
+        turn = torch.linalg.lstsq(jacobian, twist[:, :, None]).solution[:, :, 0]
+        way = torch.stack([env.q, (env.q + turn).float()], 1)
+        alone = replace(env._bare(env._every), world=env._robot_alone.world)
+        free[down_m] = (env._clear(alone, way), env._meets_nothing(env._every, way))
+    clear, passes = free[0.003]
+    assert clear.any() and not passes.any()
+    clear, passes = free[0.0003]
+    assert clear.any() and torch.equal(clear, passes)
 
 
 @pytest.mark.parametrize("name", ["servo", "replan"])

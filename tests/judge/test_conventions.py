@@ -10,10 +10,12 @@ from problems import default_evaluator
 from rounds import each
 from scipy.spatial.transform import Rotation
 
+from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.conventions import failing, other_poses
 from r2h_batch.methods import oracle
+from r2h_batch.observe import moments
 from r2h_batch.protocols.load import load_benchmark
 
 HALF = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
@@ -148,3 +150,17 @@ def test_a_benchmark_with_more_criteria_has_hints_too():
     answer = oracle.predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     with pytest.warns(UserWarning, match=r"all 12 rows fail .*; [678] of 8 pass more with T_world_ee inverted"):
         evaluator.score(answer.T_obj_ee, inverted(answer.T_world_ee), trials)
+
+
+def test_a_grasp_given_where_the_object_rests_is_told_on_a_benchmark_that_begins_at_the_table():
+    draft = load_benchmark("r2h-v3-draft").until("present")
+    evaluator, trials = draft.evaluator(), draft.trials(4)
+    known = load_benchmark("r2h-v3-draft").certificates(trials.trial_id.numpy())
+    grasp, pose = (torch.from_numpy(np.array(x)) for x in (known.T_obj_ee, known.T_world_ee))
+    on_table = se3.matmul(moments(evaluator.scene, trials), grasp)
+    evaluator.called = True  # no warning: the hint is asked for
+    scores = evaluator.score(on_table, pose, trials, stages="pose")
+    words = evaluator.hint(scores, on_table, pose, trials)
+    assert words is not None and "T_obj_ee taken from the world into the object's frame: inverse(T_world_obj)" in words
+    right = evaluator.score(grasp, pose, trials, stages="pose")
+    assert evaluator.hint(right, grasp, pose, trials) is None

@@ -18,10 +18,10 @@ from r2h_batch.base.launch import over_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.frontier.form import planning_form
-from r2h_batch.judge.grasp import close_gripper
+from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.least import least_along
-from r2h_batch.judge.pick import ROWS, Picked, PickReason, gripper_radii, picked
+from r2h_batch.judge.pick import ROWS, Picked, PickReason, fingers_way, gripper_radii, picked
 from r2h_batch.judge.plan import path_clearances
 from r2h_batch.judge.straight_way import MOST_OFF_M, STEPS, gripper_lever_m, resampled, straight_ways
 from r2h_batch.kernels.plan.line import follow_lines
@@ -355,6 +355,26 @@ def test_no_point_of_the_gripper_is_farther_than_its_lever_and_radii():
             )
             assert np.linalg.norm(points, axis=1).max() <= radii[i] + 1e-6
             assert np.linalg.norm(points @ T[:3, :3].T + T[:3, 3], axis=1).max() <= lever + 1e-6
+
+
+def test_no_point_of_the_gripper_goes_farther_between_two_openings_than_the_fingers_way():
+    s, rng = scene(), np.random.default_rng(3)
+    gap, radii = s.robot.open_gap_m, gripper_radii(s).numpy()
+    first = rng.uniform(0, gap, 400)
+    last = np.clip(first + rng.choice([-1, 1], 400) * gap * 10 ** rng.uniform(-3.5, 0, 400), 0, gap)
+    first, last = (torch.from_numpy(x.astype(np.float32)) for x in (first, last))
+    (R0, p0), (R1, p1) = (tuple(x.double().numpy() for x in gripper_poses(s.robot, x)) for x in (first, last))
+    directions = np.array(np.meshgrid(*[(-1, 0, 1)] * 3)).reshape(3, -1).T
+    directions = directions[np.abs(directions).sum(1) > 0]
+    ends = directions / np.linalg.norm(directions, axis=1)[:, None]
+    moved = np.zeros(400)
+    for i in each(range(len(radii))):  # points as far from the middle as any of the primitive
+        go = (R1[:, i] - R0[:, i]) @ (radii[i] * ends.T) + (p1 - p0)[:, i, :, None]
+        moved = np.maximum(moved, np.linalg.norm(go, axis=1).max(1))
+    way = (fingers_way(s).at(last) - fingers_way(s).at(first)).abs().numpy()
+    assert (moved <= 1.001 * way + 2e-7).all()
+    far = way > 1e-3
+    assert far.sum() > 100 and np.median(way[far] / moved[far]) < 1.2  # not far beyond what they go
 
 
 def followed(q, valid, T, *, most_turn=0.5, most_off=10.0):

@@ -334,8 +334,15 @@ def test_nodes_are_in_the_hull_of_a_cloud_and_its_shadow_as_every_plane_says():
         axes = [np.linspace(low, high, 24) for low, high in zip(points.min(0), points.max(0), strict=True)]
         axes[2] = np.append(axes[2], 0.05)  # on the table, where the shadow is
         grid = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-        nodes = np.concatenate([grid, points, points * [1, 1, 0] + [0, 0, 0.05]])
         hull = ConvexHull(np.concatenate([points, points * [1, 1, 0] + [0, 0, 0.05]]))
+        # on a plane, as far as float64 tells: there the order of a sum decides
+        slanted = np.abs(hull.equations[:, 2]) > 0.1
+        a, b, c, d = np.round(hull.equations[slanted], 9).T
+        corners = hull.points[hull.simplices[slanted]]
+        on = [np.tensordot(w, corners, (0, 1)) for w in rng.dirichlet((1, 1, 1), 20)]
+        for middle in on:
+            middle[:, 2] = -(a * middle[:, 0] + b * middle[:, 1] + d) / c
+        nodes = np.concatenate([grid, points, points * [1, 1, 0] + [0, 0, 0.05], *on])
         x, y, z = nodes.T
         expected = np.ones(len(nodes), bool)
         for a, b, c, d in np.round(hull.equations, 9):

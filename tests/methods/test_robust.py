@@ -17,6 +17,7 @@ from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 
 EXACT = PredictorNoise().scaled(0.0)
 RGB = Sizes(ObjectErrors(*OBJECT_ERRORS["rgb"]), PredictorNoise())
+FAR_HAND = Sizes(ObjectErrors(), PredictorNoise().scaled(6.0))
 ROUNDS, DRAWS = 12, 6
 
 
@@ -54,20 +55,25 @@ def test_what_it_takes_holds_under_errors_that_it_has_not_drawn_better_than_what
 def test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each():
     judge, some = default_evaluator("r2h-v2").kinematic, trials()
     found = answers()
-    held = holding(judge, some, found.T_obj_ee, found.T_world_ee, RGB, 3, 5)
+    exact = 3 * judge.score(found.T_obj_ee, found.T_world_ee, some).success
     from r2h_batch.base import rng
 
-    count = torch.zeros(len(some), dtype=torch.int64)
-    for k in each(range(3)):
-        own = int(rng.key_of(f"robust 5 {k}")[0])
-        grasp = taken_grasps(replace(RGB.object, seed=own), judge.scene.objects, found.T_obj_ee, some)
-        hand = estimated_hand(judge.scene, some.trial_id, some.hand_index, some.T_world_hand, seed=own, noise=RGB.hand)
-        assert not torch.equal(grasp, found.T_obj_ee) and not torch.equal(hand, some.T_world_hand)
-        count += judge.score(grasp, found.T_world_ee, replace(some, T_world_hand=hand)).success
-    assert torch.equal(held, count)
+    for sizes in each((RGB, FAR_HAND)):
+        count = torch.zeros(len(some), dtype=torch.int64)
+        for k in range(3):
+            own = int(rng.key_of(f"robust 5 {k}")[0])
+            grasp = taken_grasps(replace(sizes.object, seed=own), judge.scene.objects, found.T_obj_ee, some)
+            hand = estimated_hand(
+                judge.scene, some.trial_id, some.hand_index, some.T_world_hand, seed=own, noise=sizes.hand
+            )
+            assert torch.equal(grasp, found.T_obj_ee) == (sizes is FAR_HAND)
+            assert not torch.equal(hand, some.T_world_hand)
+            count += judge.score(grasp, found.T_world_ee, replace(some, T_world_hand=hand)).success
+        assert torch.equal(holding(judge, some, found.T_obj_ee, found.T_world_ee, sizes, 3, 5), count)
+        assert not torch.equal(count, exact)
     assert torch.equal(
         holding(judge, some, found.T_obj_ee, found.T_world_ee, Sizes(ObjectErrors(), EXACT), 3, 5),
-        3 * judge.score(found.T_obj_ee, found.T_world_ee, some).success,
+        exact,
     )
 
 

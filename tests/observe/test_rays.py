@@ -10,6 +10,7 @@ from rounds import each
 from scipy.spatial import cKDTree
 
 from r2h_batch.base.errors import UserError
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.observe import LABELS, load_rig, look, moments, observe, whole_images
 from r2h_batch.observe.moment import (
     PLACE_X,
@@ -43,6 +44,7 @@ def test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_mes
         labels.add(label)
         found = float(images.depth_m[i, c, v, u]), int(images.label[i, c, v, u])
         if found[1] != label:  # a silhouette
+            assert label in images.label[i, c, v - 1 : v + 2, u - 1 : u + 2]
             wrong += 1
             continue
         assert found[0] == pytest.approx(depth, abs=1e-5)
@@ -81,6 +83,20 @@ def test_a_background_that_is_kept_changes_no_bit():
     assert {*found[0][1].unique().tolist()} >= {LABELS.index(k) for k in ("nothing", "table", "robot", "object")}
     for a, b in each(zip(found[0], found[-1])):
         assert torch.equal(a, b)
+
+
+def test_images_have_the_same_bits_with_one_thread_and_with_three():
+    scene, trials, _ = cell()
+    one, three = (observe_with(n, scene, trials) for n in (1, 3))
+    for name in each(("object", "hand")):
+        for part in ("depth_m", "label"):
+            assert torch.equal(*(getattr(getattr(x, name), part) for x in (one, three)))
+    assert not torch.equal(one.object.depth_m, observe(scene, trials, RIG, seed=1).object.depth_m)
+
+
+def observe_with(threads, scene, trials):
+    with on_threads(threads):
+        return observe(scene, trials, RIG, labels="grown")
 
 
 def test_the_robot_at_home_is_mujocos_with_an_open_gripper():
@@ -195,6 +211,10 @@ def test_clouds_are_even_samples_and_smaller_ones_begin_larger_ones():
 
 
 BAD = {
+    "focal_px is nan": (
+        'focal_px = nan\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n',
+        "finite",
+    ),
     "two cameras are called": ('[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n' * 2, "'a'"),
     "object_px": ('object_px = 7\n[[cameras]]\nname = "a"\nposition = [1, 0, 1]\ntarget = [0, 0, 0]\n', "16"),
     "a window is no larger": (
@@ -242,6 +262,9 @@ def test_a_camera_in_a_body_and_an_object_out_of_view_are_refused_in_one_line():
         observe(scene, trials, rig_at((0.0, 0.5, -0.02), (0.4, 0, 0.1)))
     with pytest.raises(UserError, match="is in no camera's image; turn a camera"):
         observe(scene, trials, rig_at((-0.1, 0.75, 0.8), (-1.0, 2.0, 0.8)))
+    # it is in the image, and the image shows nothing so far off
+    with pytest.raises(UserError, match=r"is [67]\.\d m from the nearest camera that looks at it; they see 4 m$"):
+        observe(scene, trials, rig_at((-4.0, 4.0, 3.0), (0.42, 0, 0.15)))
 
 
 def test_a_rig_file_sees_what_the_rig_of_its_numbers_sees(tmp_path):

@@ -424,16 +424,22 @@ def test_the_command_results_transfer_says_the_same(folder, capsys):
     assert any(r["transfer_end"] for r in run.trials("oracle").to_pylist())
 
 
-def test_the_pose_stage_judges_pick_without_the_path_from_home(judge, asked, scores):
-    T_obj_ee, T_world_ee, trials = asked
-    pose = judge.score(T_obj_ee, T_world_ee, trials, "pose")
+def test_the_pose_stage_judges_pick_at_the_grasp_alone(judge):
+    trials = judge.benchmark.trials(40)
+    answers = random.predict(trials, judge.scene, seed=1)
+    scores, pose = (judge.score(answers.T_obj_ee, answers.T_world_ee, trials, stages) for stages in ("all", "pose"))
     column = scores.criteria.index("pick")
     assert pose.criteria == scores.criteria
     assert not (scores.passed & ~pose.passed)[:, column].any()  # what fails there fails the benchmark too
-    paths = (PickReason.START_IN_COLLISION, PickReason.BEFORE_COLLIDES, PickReason.NO_PATH_IN_BUDGET)
-    of_path = torch.isin(scores.pick[:, 0], torch.tensor(paths, dtype=torch.int32))
-    assert torch.equal(pose.passed[:, column], scores.passed[:, column] | of_path)
-    assert (pose.margin[:, column] < 0).tolist() == (~pose.passed[:, column]).tolist()
+    at_grasp = torch.tensor([int(r) for r in (PickReason.OUT_OF_REACH, PickReason.GRASP_COLLIDES)], dtype=torch.int32)
+    fails = torch.isin(scores.pick[:, 0], at_grasp)
+    assert fails.any() and (~scores.passed[:, column] & ~fails).any()
+    assert torch.equal(pose.passed[:, column], ~fails) and pose.evaluated[:, column].all()
+    assert torch.equal(pose.margin[fails, column], scores.margin[fails, column])
+    assert torch.equal(pose.pick[fails], scores.pick[fails]) and (pose.pick[~fails, 0] == int(PickReason.OK)).all()
+    passes = scores.passed[:, column]
+    assert (pose.margin[passes, column] >= scores.margin[passes, column]).all()
+    assert (pose.margin[~fails, column] > 0).all()
 
 
 def test_a_row_that_is_no_pose_is_not_picked(judge, asked):

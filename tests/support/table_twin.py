@@ -18,7 +18,7 @@ from r2h_batch.closed_loop.from_table import Phase
 
 Array = NDArray[np.float64]
 SAMPLES = 12
-"""Of a step."""
+"""Postures of a step that are looked at."""
 
 
 class TableTwin:

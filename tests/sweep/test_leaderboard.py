@@ -183,3 +183,19 @@ def test_a_board_of_held_out_trials_takes_runs_on_these_alone(run, tmp_path, cap
             == 2
         )
         assert words in capsys.readouterr().err and not (tmp_path / "no.html").exists()
+
+
+def test_a_board_of_a_draft_says_so_and_has_no_baselines(tmp_path, capsys):
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "--trials", "2", "--sim", "none"]
+    for seed in (0, 1):
+        assert sweep([*line, "--seed", str(seed), "--out", str(tmp_path / f"seed{seed}")]) == 0
+    runs, out = (tmp_path / "seed0", tmp_path / "seed1"), tmp_path / "board.html"
+    code, lines = board(out, *runs, least=1)
+    page = out.read_text()
+    # one section for both, without a line that nobody submitted
+    assert code == 0 and sorted(who for _, _, who in lines) == ["seed0", "seed1"]
+    assert page.count("<h2") == 1 and "its trials may change; not to be published; no baselines" in page
+    # with rows of one's own both are compared, and nothing says draft
+    code, lines = board(out, runs[0], baselines=runs[1], least=1)
+    assert code == 0 and "no baselines" not in out.read_text()
+    assert {who for _, _, who in lines} == {"seed0", "baseline"}

@@ -2,6 +2,7 @@
 
 import json
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from r2h_batch.view import pictures
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.lab.folder import write_trial
 from r2h_batch.view.lab.sheets import object_sheet
+from r2h_batch.view.page import Drawn
 from r2h_batch.view.stored import Reader
 
 NEAR_M = 2e-3
@@ -61,6 +63,48 @@ def test_legs_lead_from_home_to_the_motion_and_take_the_object_along(reader):
     )
     assert np.abs(taken - before)[:3].max() < NEAR_M and np.abs(taken - before)[3:].max() < 1e-3
     assert np.allclose((up - taken)[:3], [0.0, 0.0, 0.1], atol=NEAR_M) and np.allclose(carried, up, atol=1e-5)
+
+
+class FakeScene:
+    """Stands for viser's scene: keeps each handle by its path."""
+
+    def __init__(self):
+        self.handles = {}
+
+    def __getattr__(self, name):
+        if not name.startswith("add_"):
+            raise AttributeError(name)
+
+        def add(path, *_, **how):
+            self.handles[path] = SimpleNamespace(**how)
+            return self.handles[path]
+
+        return add
+
+
+def test_a_page_plays_the_legs_first_with_an_open_gripper_and_the_object_where_it_is(reader):
+    drawing = Drawing(reader.trial(passing(reader), "fc"))
+    scene = FakeScene()
+    drawn = Drawn(scene, drawing, view_of([drawing], 1.2))
+    picks, lifts = drawing.legs
+    ends = np.cumsum([d.motion()[0][-1] for d in (picks, lifts, drawing)])
+    assert drawn.play() == pytest.approx(ends[-1]) and ends[-1] > drawing.motion()[0][-1] + 2
+    for time_s, of, q, opened in (
+        (0.0, picks, picks.stored.workplace.home_q, True),
+        (ends[0] - 1e-6, picks, picks.stored.q[-1], True),
+        (ends[1] - 1e-6, lifts, lifts.stored.q[-1], False),
+        (ends[2], drawing, drawing.motion()[1][-1], False),
+    ):
+        drawn.at(float(time_s))
+        data = of.at(np.array(q))
+        for body in ("object", "gripper"):
+            assert np.allclose(scene.handles[f"/trial/{body}"].position, data.body(body).xpos, atol=1e-3), (
+                time_s,
+                body,
+            )
+        assert np.allclose(scene.handles["/trial/gripper_open"].position, data.body("gripper").xpos, atol=1e-3)
+        assert scene.handles["/trial/gripper_open"].visible == opened
+        assert scene.handles["/trial/gripper"].visible == (not opened)
 
 
 def test_the_resting_object_lies_at_the_trials_moment_and_the_gripper_comes_open(reader):

@@ -81,7 +81,7 @@ SHARES: Registry[Share] = Registry(
             "Trials past Stability that are too near a limit of Physically stable to say.",
         ),
         PICK: Share(
-            "Pick",
+            "Pick posture",
             "Trials of a method that sees in which some posture takes the object up where it lay (not in SR).",
         ),
     },
