@@ -69,7 +69,7 @@ if slow: sys.exit(f"judging imports {slow}")
 
 @pytest.mark.parametrize("name", ["view", "report", "compare", "trials", "scene", "results reception"])
 def test_help_shows_lists_as_dots_and_no_empty_word(capsys, name):
-    out = helped(capsys, *name.split())
+    out = helped(capsys, *name.split(), *(["--help-all"] if name == "scene" else []))
     assert "..." in out and not re.findall(r"\[[A-Z{][^]\n]*\.\.\.\]|\{,", out)
 
 
@@ -113,7 +113,7 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
         ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         (
             "sweep --method random --benchmark r2h-v3",
-            ["no benchmark is called 'r2h-v3', did you mean r2h-v2?; allowed are"],
+            ["no benchmark is called 'r2h-v3', did you mean r2h-v3-draft?; allowed are"],
         ),
         (
             "sweep --benchmark r2h-v1 --method random --people adults children",
@@ -204,3 +204,15 @@ def test_messages_name_only_flags_that_the_help_of_a_command_names(capsys):
     files = [f for f in package.rglob("*.py") if f.name != "play.py"]  # a program of its own, in exported scenes
     named = {(flag, f.name) for f in files for text in strings(f) for flag in FLAG.findall(text)}
     assert len(named) > 150 and {(flag, name) for flag, name in named if flag not in shown | OTHERS} == set()
+
+
+@pytest.mark.parametrize("name", [*COMMANDS, *NESTED])
+def test_the_help_of_each_command_fits_on_a_screen_and_says_where_the_rest_is(monkeypatch, capsys, name):
+    monkeypatch.setenv("COLUMNS", "80")
+    text = helped(capsys, *name.split())
+    assert len(text.splitlines()) <= 60
+    if "--help-all explains them" in text:
+        more = re.findall(r"--[a-z-]+", text[text.index("explains them") :].partition(".")[0])
+        every = helped(capsys, *name.split(), "--help-all")
+        assert "--benchmark" in more and {f for f in more if not re.search(rf"^  {f}(?![a-z-])", every, re.M)} == set()
+        assert not [f for f in more if re.search(rf"^  {f}(?![a-z-])", text, re.M)]

@@ -1,14 +1,17 @@
 """Files of other people: what is opened, how much of it is read, and what of it reaches a terminal."""
 
+import errno
 import os
 import socket
+import tempfile
 
 import pytest
 from rounds import each
 
 from r2h_batch.__main__ import main
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, MachineError
 from r2h_batch.base.io.read import open_file, path_within, read_file
+from r2h_batch.base.io.write import check_output_file, check_output_folder
 
 
 def special_files(folder):
@@ -64,3 +67,20 @@ def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path, monkey
         assert main(line.split()) == 2, line
         out, error = capsys.readouterr()
         assert out == "" and error.count("\n") == 1 and "not a regular file" in error, error
+
+
+def test_a_folder_that_takes_no_file_is_told_before_the_work(monkeypatch, tmp_path):
+    """Above it the nearest folder that exists is asked; a folder that takes files keeps none."""
+
+    def full(**_):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    for check in (check_output_file, check_output_folder):
+        check(tmp_path / "new" / "page.html")
+        with monkeypatch.context() as patch:
+            patch.setattr(tempfile, "TemporaryFile", full)
+            with pytest.raises(
+                MachineError, match=rf"no file can be written in {tmp_path} \(No space left on device\)"
+            ):
+                check(tmp_path / "new" / "page.html")
+    assert not list(tmp_path.iterdir())

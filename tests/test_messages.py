@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from r2h_batch import load_benchmark
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.config import EvalConfig, Workplace
 from r2h_batch.scene.hand_file import read_hand_set
 
@@ -52,3 +52,10 @@ def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
         replace(load_benchmark(protocol), workplace=everywhere.workplace, thresholds=everywhere.thresholds).trials(
             40, splits=("S0",)
         )
+
+
+def test_the_only_word_that_begins_as_the_given_one_is_the_nearest():
+    names = ["r2h-v1", "r2h-v2", "r2h-v3-draft"]
+    assert nearest("r2h-v3", names) == ", did you mean r2h-v3-draft?"
+    assert nearest("r2h-v", names) == ", did you mean r2h-v2?"  # several begin so: the nearest letters
+    assert nearest("zzzz", names) == ""

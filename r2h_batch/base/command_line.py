@@ -30,6 +30,8 @@ from r2h_batch.base.validate import expand_home, parse_number, parse_whole_numbe
 Command = Callable[..., Any]
 
 MOST_SEED = (1 << 63) - 1
+HELP_ALL = "--help-all"
+"""As --help, with the flags of a group (a dataclass) too: without them the help of a command fits on a screen."""
 
 
 def parse(
@@ -55,6 +57,8 @@ def parse(
     for before, argument in itertools.pairwise(("", *arguments)):
         _check_text(argument, "rename the file")
         _check_filled(argument, before)
+    every = HELP_ALL in arguments
+    arguments = ["--help" if a == HELP_ALL else a for a in arguments]
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
@@ -62,11 +66,11 @@ def parse(
             what = f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}"
             raise UsageError(f"{what}; allowed are {', '.join(command)}")
         chosen = command.get(words[0]) if words else None
-        deferred = {name: _deferred(f) for name, f in command.items()}
+        deferred = {name: _deferred(f, every, first=f is not chosen) for name, f in command.items()}
         cli = partial(tyro.extras.subcommand_cli_from_dict, deferred)
     else:
         chosen = command
-        cli = partial(tyro.cli, command if is_dataclass(command) else _deferred(command))
+        cli = partial(tyro.cli, command if is_dataclass(command) else _deferred(command, every))
         if default is not None:
             cli = partial(cli, default=default)
     box = io.StringIO()
@@ -274,13 +278,26 @@ def counted(number: int, things: str) -> str:
     return f"{number} {things[:-1] if number == 1 else things}"
 
 
-def _deferred(function: Command) -> Command:
+def _deferred(function: Command, every: bool = False, *, first: bool = False) -> Command:
     """A function with the same parameters and words, whose call only remembers what to call.
 
     The docstring is the help, and tyro prints its line breaks: the lines of a paragraph become one.
+
+    Args:
+        function: the command.
+        every: its help shows the flags of its groups too.
+        first: its help is its first paragraph, in a list of commands.
     """
     words = inspect.cleandoc(function.__doc__ or "")
-    hints = _shown_hints(function)
+    hints = _shown_hints(function, every=every)
+    text, args, about = words.partition("\n\nArgs:\n")
+    if first:
+        text = text.split("\n\n")[0]
+    grouped = [k for k in function.__annotations__.values() if is_dataclass(k)]
+    if grouped and not (first or every):
+        flags = [f"--{f.name.replace('_', '-')}" for k in grouped for f in fields(k)]
+        text += f"\n\nMore flags ({HELP_ALL} explains them): {', '.join(flags)}."
+    words = text + args + about
     parameters = inspect.signature(function).parameters.values()
     given: dict[str, Any] = {p.name: p.annotation for p in parameters if is_dataclass(p.annotation)}
 
@@ -304,9 +321,15 @@ def _deferred(function: Command) -> Command:
     return later
 
 
-def _shown_hints(owner: Any) -> dict[str, Any]:
+def _shown_hints(owner: Any, *, every: bool = True, hide: bool = False) -> dict[str, Any]:
     """The annotations of a function or dataclass, with what the help of each flag shows: its
-    placeholder, and its default only where there is one to say, not `(default: None)`."""
+    placeholder, and its default only where there is one to say, not `(default: None)`.
+
+    Args:
+        owner: the function or dataclass.
+        every: also the flags of the function's dataclasses.
+        hide: none of its flags.
+    """
     import tyro
 
     def hint(default: str) -> str:
@@ -314,16 +337,16 @@ def _shown_hints(owner: Any) -> dict[str, Any]:
 
     def shown(kind: Any) -> Any:
         if is_dataclass(kind):
-            return _with_shown_hints(kind)
+            return _with_shown_hints(kind, hide=not every)
         about = tyro.conf.arg(metavar=_metavar(kind), help_behavior_hint=hint)
-        return Annotated[kind, about]
+        return Annotated[kind, about, tyro.conf.Suppress] if hide else Annotated[kind, about]
 
     return {k: shown(v) for k, v in owner.__annotations__.items() if k != "return"}
 
 
-def _with_shown_hints(kind: Any) -> Any:
+def _with_shown_hints(kind: Any, *, hide: bool) -> Any:
     """A subclass of a dataclass whose fields have the annotations of `_shown_hints`."""
-    hints = _shown_hints(kind)
+    hints = _shown_hints(kind, hide=hide)
     body = {f.name: f.default for f in fields(kind)} | {"__annotations__": hints}
     frozen = kind.__dataclass_params__.frozen
     return dataclass(frozen=frozen)(type(kind.__name__, (kind,), body | {"__doc__": kind.__doc__}))
@@ -405,7 +428,7 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     if found := re.search(
         r"invalid choice '([^']*)' for argument '(.*)'\. Expected one of \((.*)\)", text
     ):
-        values = [word for word in re.findall(r"'([^']*)'", found[3]) if word]
+        values = [word for word in re.findall(r"'([^']*)'", found[3]) if word not in ("", "None")]
         text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
     if found := re.fullmatch(r"Unrecognized options: (\S+).*", text):
         text = _left_over(found[1], arguments)

@@ -28,7 +28,8 @@ class MachineError(RuntimeError):
 
 
 def nearest(name: str, allowed: Sequence[str]) -> str:
-    """`, did you mean X?` for the allowed word nearest to a misspelt one; empty where none is
-    near."""
-    near = difflib.get_close_matches(name, allowed, n=1)
+    """`, did you mean X?` for the allowed word nearest to a misspelt one, or the only one that begins so; empty where none
+    is near."""
+    begun = [word for word in allowed if len(name) > 3 and word.startswith(name)]
+    near = begun if len(begun) == 1 else difflib.get_close_matches(name, allowed, n=1)
     return f", did you mean {near[0]}?" if near else ""

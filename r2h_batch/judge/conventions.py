@@ -1,4 +1,4 @@
-"""A hint where all rows of a batch fail alike: eight rows are judged again in other conventions of frames and units,
+"""A hint where all rows of a batch fail: eight rows are judged again in other conventions of frames and units,
 and the line says in which one they pass. No verdict depends on it."""
 
 import math
@@ -51,6 +51,9 @@ def other_poses(T_obj_ee: Tensor, T_world_ee: Tensor) -> dict[str, Poses]:
             T_obj_ee,
             se3.matmul(half.expand_as(T_world_ee), T_world_ee),
         ),
+        "lengths read as millimetres: they are in metres": (_shrunk(T_obj_ee), _shrunk(T_world_ee)),
+        "T_world_ee read in millimetres: it is in metres": (T_obj_ee, _shrunk(T_world_ee)),
+        "T_obj_ee read in millimetres: it is in metres": (_shrunk(T_obj_ee), T_world_ee),
         "quaternions read as x, y, z, w instead of w, x, y, z": (xyzw[0], xyzw[1]),
         "quaternions read as w, x, y, z instead of x, y, z, w": (wxyz[0], wxyz[1]),
     }
@@ -59,6 +62,11 @@ def other_poses(T_obj_ee: Tensor, T_world_ee: Tensor) -> dict[str, Poses]:
 ORDERS = ((3, 0, 1, 2), (1, 2, 3, 0))
 """Which numbers of a rotation's quaternion (x, y, z, w) are the true x, y, z, w: it was written as x, y, z, w and read
 as w, x, y, z; written as w, x, y, z and read as x, y, z, w."""
+
+
+def _shrunk(T: Tensor) -> Tensor:
+    """The poses with lengths in millimetres as metres."""
+    return se3.from_rotation(T[:, :3, :3], T[:, :3, 3] / 1000)
 
 
 def _reordered(T: Tensor, order: Sequence[int]) -> Tensor:
@@ -152,10 +160,11 @@ def motion_hint(
 
 
 def _eight(scores: Scores) -> Tensor | None:
-    """The first rows that can be judged, where every row fails the same criterion."""
+    """The first rows that can be judged, where no row succeeds; of few rows: where all fail the same criterion."""
     valid = scores.outcome != int(Outcome.INVALID_INPUT)
     judged = scores[valid]
-    if len(judged) < ROWS or not failing(judged).any():
+    enough = len(judged) >= 2 * ROWS and not judged.success.any()
+    if len(judged) < ROWS or not (enough or failing(judged).any()):
         return None
     return torch.nonzero(valid)[:ROWS, 0]
 
@@ -165,6 +174,11 @@ def _best(scores: Scores, found: Scores, names: Sequence[str]) -> str | None:
     each name."""
     valid = scores[scores.outcome != int(Outcome.INVALID_INPUT)]
     alike = failing(valid)
+    words = " and ".join(
+        name for name, of in zip(scores.criteria, alike.tolist(), strict=True) if of
+    )
+    if not words:  # none of them fails in all rows: chance passes some
+        alike = torch.ones_like(alike)
     passed = (found.passed & found.evaluated).reshape(1 + len(names), ROWS, -1)
     more = passed[1:].sum(2) > passed[:1].sum(2)
     mended = (passed[1:] & ~passed[:1])[:, :, alike].any(2)
@@ -172,11 +186,6 @@ def _best(scores: Scores, found: Scores, names: Sequence[str]) -> str | None:
     k = int(torch.argmax(better * 100 + passed[1:].sum((1, 2))))
     if int(better[k]) < MOST:
         return None
-    words = " and ".join(
-        name for name, of in zip(scores.criteria, alike.tolist(), strict=True) if of
-    )
     name, _, meaning = names[k].partition(": ")
     how = f": {meaning}" if meaning else ""
-    return (
-        f"all {len(valid)} rows fail {words}; {int(better[k])} of {ROWS} pass more with {name}{how}"
-    )
+    return f"all {len(valid)} rows fail{f' {words}' if words else ''}; {int(better[k])} of {ROWS} pass more with {name}{how}"

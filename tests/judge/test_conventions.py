@@ -50,6 +50,12 @@ def as_quaternion_in_another_order(T, order):
     return out
 
 
+def in_millimetres(T):
+    out = T.clone()
+    out[:, :3, 3] *= 1000
+    return out
+
+
 def inverted(T):
     return torch.from_numpy(np.linalg.inv(T.double().numpy())).float()
 
@@ -60,6 +66,9 @@ WRITTEN = {
     "both poses inverted": lambda a, b: (inverted(a), inverted(b)),
     "T_world_ee times T_obj_ee": lambda a, b: (a, b @ inverted(a)),
     "turned by 180 degrees": lambda a, b: (a, HALF @ b),
+    "lengths read as millimetres": lambda a, b: (in_millimetres(a), in_millimetres(b)),
+    "T_world_ee read in millimetres": lambda a, b: (a, in_millimetres(b)),
+    "T_obj_ee read in millimetres": lambda a, b: (in_millimetres(a), b),
     "read as x, y, z, w": lambda a, b: tuple(as_quaternion_in_another_order(T, "xyzw") for T in (a, b)),
     "read as w, x, y, z": lambda a, b: tuple(as_quaternion_in_another_order(T, "wxyz") for T in (a, b)),
 }
@@ -164,3 +173,22 @@ def test_a_grasp_given_where_the_object_rests_is_told_on_a_benchmark_that_begins
     assert words is not None and "T_obj_ee taken from the world into the object's frame: inverse(T_world_obj)" in words
     right = evaluator.score(grasp, pose, trials, stages="pose")
     assert evaluator.hint(right, grasp, pose, trials) is None
+
+
+def test_rows_that_fail_at_different_criteria_get_a_hint_where_none_of_them_succeeds(fresh, solved):
+    """Chance passes single criteria: eight rows in millimetres, and eight whose grasps miss the object."""
+    trials, (T_obj_ee, T_world_ee), _ = solved
+    rows = torch.arange(16) % len(trials)
+    grasps, handovers, asked = T_obj_ee[rows].clone(), T_world_ee[rows].clone(), trials[rows]
+    handovers[:8, :3, 3] *= 1000
+    grasps[8:] = grasps[8:] @ torch.tensor([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0.12], [0, 0, 0, 1.0]])
+    with pytest.warns(UserWarning, match="all 16 rows fail; 8 of 8 pass more with T_world_ee read in millimetres"):
+        scores = fresh().score(grasps, handovers, asked)
+    assert not scores.success.any() and not failing(scores).any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        handovers[15], grasps[15] = T_world_ee[rows[15]], T_obj_ee[rows[15]]  # one that succeeds
+        evaluator = fresh()
+        evaluator.called = True
+        found = evaluator.score(grasps, handovers, asked)
+        assert found.success.sum() == 1 and evaluator.hint(found, grasps, handovers, asked) is None

@@ -102,7 +102,7 @@ def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_s
     lines = list(csv.DictReader(io.StringIO(render(table_of(run), "csv"))))
     assert [line["pick"] for line in lines if line["split"] == "Avg"] == ["n/a"]
     assert float(lines[0]["pick"]) == pytest.approx(rows["S0"].percent)
-    assert "| Pick |" in render(table_of(run), "md").replace("  ", " ")
+    assert "| Pick posture |" in render(table_of(run), "md").replace("  ", " ")
 
 
 def test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment(methods, tmp_path):

@@ -11,6 +11,7 @@ from __future__ import annotations
 import json
 import os
 import stat
+import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -18,7 +19,7 @@ from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, MachineError
 from r2h_batch.base.io.read import printable
 
 RUN_FOLDERS = ("shards", "methods", "quarantine")
@@ -46,6 +47,7 @@ def check_output_file(
 
     Raises:
         FileError: the path is impossible, belongs to a run folder, is not a plain file, or exists.
+        MachineError: no file can be written there.
     """
     shown = f"{flag} {printable(path)}"
     if endings and path.suffix.lower() not in endings:
@@ -71,6 +73,7 @@ def check_output_folder(path: Path, *, overwrite: bool | None = False, flag: str
 
     Raises:
         FileError: the path is impossible, belongs to a run folder, is not a folder, or is not empty.
+        MachineError: no file can be written there.
     """
     shown = f"{flag} {printable(path)}"
     if _found(path, shown) is None:
@@ -84,7 +87,7 @@ def check_output_folder(path: Path, *, overwrite: bool | None = False, flag: str
 
 def _found(path: Path, shown: str) -> os.stat_result | None:
     """`lstat` of the path, None if nothing is there. A path that a run folder may use is
-    refused."""
+    refused, and one below a folder that takes no file: before the work, and not after it."""
     if (folder := run_folder_of(path)) is not None:
         inside = Path(os.path.abspath(path)).relative_to(folder)
         own = inside.parts[0] in RUN_FOLDERS or inside.parts[0].startswith(".")
@@ -94,6 +97,14 @@ def _found(path: Path, shown: str) -> os.stat_result | None:
     try:
         return os.lstat(path)
     except FileNotFoundError:
+        above = next(p for p in Path(os.path.abspath(path)).parents if p.exists())
+        try:
+            tempfile.TemporaryFile(dir=above).close()
+        except OSError as error:
+            why = error.strerror or error
+            raise MachineError(
+                f"{shown}: no file can be written in {printable(above)} ({why})"
+            ) from None
         return None
     except OSError as error:
         why = error.strerror or error
