@@ -15,6 +15,7 @@ import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +26,7 @@ from _report import ROOT, made_by, markdown_table, memory_over, page_from, swept
 
 if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
+    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.scene.objects import ObjectModel
     from r2h_batch.types import Predictions
 
@@ -80,6 +82,13 @@ VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
 VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
 """Steps on what cameras saw; trials of a split, and what is seen in them."""
 SEEING = {"Learned": "learned", "Learned from views": "learned,weights={}", "robust search": "robust"}
+LIMITS = {
+    "learned": "Learned", "a pair": "any of its 384 pairs", "oracle": "oracle", "held": "a candidate holds",
+    "denser": "a denser one holds",
+}  # fmt: skip
+"""Columns of the regions' table: what a trial needs to count."""
+GRASPS_OF = ("drawn for the instance", "drawn for the region")
+"""Grasp candidates that the ranker chooses from."""
 KINDS = ("a part", "all but a part", "one side of a plane")
 FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
 """Figures of this commit are of the weights that shipped before."""
@@ -153,6 +162,70 @@ def kind_of_region(model: "ObjectModel") -> str:
     if own & rest:
         return KINDS[2]
     return KINDS[0] if len(own) == 1 else KINDS[1]
+
+
+@cache
+def is_free_of_region(model: "ObjectModel") -> bool:
+    """Whether any grasp that 8 rounds of proposals find keeps off the receiver's region."""
+    from r2h_batch.methods.grasps import REGION_CLEARANCE_M, NoGraspError, sample_grasps
+
+    try:  # of so few, those off the region are taken first
+        found = sample_grasps(model, count=10, enough=sys.maxsize)
+    except NoGraspError:
+        return False
+    return bool((found.region_m > REGION_CLEARANCE_M).any())
+
+
+def region_limits(own: "Benchmark", path: Path) -> dict[str, dict[str, float]]:
+    """Limits of a ranker on a benchmark's objects, percent of trials by kind of region, pose stage.
+
+    Keys: `of` trials; `learned`: the pair that it likes best; `a pair`: one of its 384 pairs; `oracle`: a proposal of the
+    oracle; `held`: some candidate passes Stability and Affordance, wherever it is brought; `denser`: or one of some 100,000
+    grasps does that are sampled for the region.
+    """
+    from r2h_batch.base import rng
+    from r2h_batch.methods import oracle
+    from r2h_batch.methods.candidates import candidates_in, without_candidates
+    from r2h_batch.methods.learned import FIRST, PER_CANDIDATE, TOP
+    from r2h_batch.methods.ranker.features import SEE
+    from r2h_batch.methods.ranker.network import read_weights
+    from r2h_batch.methods.ranker.observe import observe
+    from r2h_batch.methods.ranker.search import liked, scored_by
+
+    none = without_candidates(own.evaluator(threads=1).scene)
+    own = own.with_objects([o for k, o in enumerate(own.objects) if k not in none])
+    judge = own.evaluator(threads=1)
+    trials = own.trials_with_ids(OTHER_ID + 1 + 2 * torch.arange(TRIALS_OF_REGIONS))  # odd ones: S1
+    kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
+    score, key = scored_by(read_weights(path)), rng.key_of("learned 0")
+    grasps = [torch.from_numpy(c.T_obj_ee) for c in candidates_in(judge.scene)]
+    learned, pair, held = (np.zeros(len(trials), bool) for _ in range(3))
+    for n in range(len(trials)):
+        trial = trials[n : n + 1]
+        told, middle = observe(trial, judge.scene, SEE, seed=0, region=True)
+        seen = {k: v[:, : int(told["exists"].sum())] if k in PER_CANDIDATE else v for k, v in told.items()}
+        pick, T, good = liked(seen, middle, trial.trial_id, score, key, first=FIRST, second=0, top=TOP)
+        found = judge.score(seen["candidates"][:, pick[0]], T, trial, stages="pose")
+        won = found.success.numpy()
+        learned[n], pair[n] = won[int(good.argmax())], won.any()
+        own_grasps = grasps[int(trial.object_index)]
+        margin = judge.score(
+            own_grasps[None], T[:, :1].expand(-1, len(own_grasps), -1, -1), trial, stages="pose"
+        ).margin
+        columns = [found.criteria.index(name) for name in ("stability", "affordance")]
+        held[n] = bool((margin[:, columns] >= 0).all(1).any())
+    best = oracle.predict(trials, judge.scene, evaluator=judge)
+    by_oracle = judge.score(best.T_obj_ee, best.T_world_ee, trials, stages="pose").success.numpy()
+    index = trials.object_index.numpy()
+    without = [o for k, o in enumerate(own.objects) if not held[index == k].any()]
+    free = {o.name for o in without if is_free_of_region(o)}
+    denser = held | np.array([own.objects[k].name in free for k in index])
+    rows = {"learned": learned, "a pair": pair, "oracle": by_oracle, "held": held, "denser": denser}
+    return {
+        kind: {"of": int(own_rows.sum()), **{name: 100 * float(won[own_rows].mean()) for name, won in rows.items()}}
+        for kind in KINDS
+        if (own_rows := kinds == kind).any()
+    }
 
 
 def labels_a_second() -> dict[str, float]:
@@ -452,13 +525,22 @@ class Bench:
         }
 
     def regions(self) -> dict[str, Any]:
-        """The first seed on regions at random of instances that it did not see, by their kind."""
-        from r2h_batch.learning.instances import training_objects
+        """The first seed on regions at random of instances that it did not see, by their kind: with the instance's candidates,
+        and with candidates drawn for the region, as an object of the user's has them."""
+        from dataclasses import replace
 
-        path, _ = trained(self.options.runs, 0, ())
+        from r2h_batch.learning.instances import training_objects
+        from r2h_batch.learning.regions import with_regions
+        from r2h_batch.methods.learned import weights_file
+
         plain = training_objects(self.benchmark, REGIONS)
-        judged = self.regions_of(plain, TRIALS_OF_REGIONS, path)
-        return {"regions": {"objects": len(plain), **judged}}
+        ways: dict[str, Any] = {}
+        objects = with_regions(plain, 4)[len(plain) :]
+        for name, some in zip(GRASPS_OF, (objects, [replace(o, turn=None) for o in objects]), strict=True):
+            with weights_file("") as path:
+                ways[name] = region_limits(self.benchmark.with_objects(some), path)
+            print(name, ways[name], flush=True)
+        return {"regions": {"objects": len(plain), "trials": TRIALS_OF_REGIONS, "ways": ways}}
 
     def regions_of(self, plain: "tuple[ObjectModel, ...]", count: int, path: Path) -> dict[str, Any]:
         """Success of the pose stage, percent, on instances with four regions at random each: all, and by kind of region."""
@@ -644,10 +726,18 @@ SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others we
 """
 REGIONS_WORDS = """## Regions at random
 
-A region is a part, all but a part, or one side of a plane ([how](../training_loop.md#a-stream-to-learn-from)). Success of the
-pose stage in percent on {count} new instances with such regions, which the network did not see (seed 0):
+A region is a part, all but a part, or one side of a plane ([how](../training_loop.md#a-stream-to-learn-from)). The network
+that ships did not see these {count} instances. Percent of trials, judged by the pose stage:
 
-{kinds}
+{table}
+
+- Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
+  yours.
+- Any of its 384 pairs: Learned takes one of these pairs. What it has less than this column is lost by the ranking.
+- A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
+  takes a candidate.
+- A denser one holds: a candidate does, or one of about 100,000 proposed grasps. In the other trials the gripper finds nothing
+  to hold beside the region.
 
 """
 RECIPES_WORDS = """## How the recipe was chosen
@@ -820,9 +910,14 @@ def cells(row: Mapping[str, Any]) -> list[str]:
 
 def regions_words(own: Mapping[str, Any]) -> str:
     """The section on regions at random."""
-    heads = [f"{k} ({v['of']} trials)" for k, v in own["kinds"].items()]
-    rates = [f"{v['sr']:.1f}" for v in own["kinds"].values()]
-    return REGIONS_WORDS.format(count=own["objects"], kinds=markdown_table(heads, [rates]))
+    rows = []
+    for grasps, kinds in own["ways"].items():
+        for kind, told in kinds.items():
+            rows.append([f"{kind}, {grasps}", told["of"], *(f"{told[k]:.1f}" for k in LIMITS)])
+    return REGIONS_WORDS.format(
+        count=own["objects"], first=GRASPS_OF[0], second=GRASPS_OF[1],
+        table=markdown_table(["region, candidates", "trials", *LIMITS.values()], rows),
+    )  # fmt: skip
 
 
 def recipes_words(found: Mapping[str, Any]) -> str:
