@@ -121,5 +121,5 @@ def _cores(robot: Robot, device: str) -> tuple[Float32[Tensor, "g k 3"], Float32
     most = max(map(len, found))
     filled = np.stack([np.concatenate([x, np.repeat(x[-1:], most - len(x), 0)]) for x in found])
     round_ = np.where(np.array(shapes.kind) <= ShapeKind.CAPSULE, np.array(shapes.size)[:, 0], 0.0)
-    points, radius = (torch.from_numpy(x.astype(np.float32)).to(device) for x in (filled, round_))
-    return points, radius
+    core, radius = (torch.from_numpy(x.astype(np.float32)).to(device) for x in (filled, round_))
+    return core, radius
