@@ -584,7 +584,12 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors),
         sees=sees,
     )  # fmt: skip
-    return _method_job(name, evaluator, methods)
+    looks = None
+    if sees is not None:
+        from r2h_batch.sweep.seeing import Looks
+
+        looks = Looks(sees, evaluator)
+    return _method_job(name, evaluator, methods, looks=looks)
 
 
 SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}

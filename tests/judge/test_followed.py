@@ -203,7 +203,7 @@ def test_rows_that_do_not_begin_have_no_plan():
     begins = torch.zeros(len(trials), dtype=torch.bool)
     made = follow_plans(evaluator().scene, held, plan, begins)
     none = no_plan(len(trials), plan.path.shape[2], plan.path.device)
-    for f in fields(Plan):
+    for f in each(fields(Plan)):
         assert torch.equal(getattr(made, f.name), getattr(none, f.name)), f.name
 
 

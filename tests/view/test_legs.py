@@ -14,6 +14,7 @@ from r2h_batch.judge.pick import picked
 from r2h_batch.observe import moments
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.view import film as films
 from r2h_batch.view import pictures
 from r2h_batch.view.drawing import Drawing, view_of
 from r2h_batch.view.lab.folder import write_trial
@@ -161,11 +162,12 @@ def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(reader, mo
         def __exit__(self, *_):
             return None
 
-    monkeypatch.setattr(pictures, "painter", lambda *_: Told())
-    monkeypatch.setattr(pictures.Caption, "around", lambda self, image, head, lines: words.append(lines) or image)
+    monkeypatch.setattr(films, "painter", lambda *_: Told())
+    monkeypatch.setattr(films.Caption, "around", lambda self, image, head, lines: words.append(lines) or image)
     view = view_of([drawing], 1.5)
-    frames = list(pictures._film(drawing, (320, 240), 4, view))
-    assert len(frames) == sum(len(pictures._times(d, 4)) for d in (*drawing.legs, drawing))
+    frames = list(films._film(films.Story(drawing), (320, 240), 4, view))
+    rested = len(films._times(drawing, 4, rests=True))
+    assert len(frames) == sum(len(films._times(leg, 4)) for leg in drawing.legs) + rested
     does = [line[1] for line in words]
     assert does[0] == "picks" and "lifts" in does and does.index("lifts") > 2
     assert "success" in does[-1] or "fails" in does[-1]
