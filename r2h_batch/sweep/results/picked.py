@@ -58,6 +58,7 @@ CAUSES = {
         PickReason.BEFORE_COLLIDES,
         PickReason.NO_PATH_IN_BUDGET,
         PickReason.NOT_EVALUATED,
+        PickReason.PATH_COLLIDES,
     ),
 }
 """Columns of the printed table, and the reasons that each counts."""
