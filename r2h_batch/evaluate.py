@@ -64,7 +64,7 @@ from r2h_batch.prepared import Prepared
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
-from r2h_batch.types import GivenScores, PlanReason, ScoreInputs, Scores, Trials
+from r2h_batch.types import CRITERIA, GivenScores, PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.judge.pick import Picked
@@ -480,8 +480,17 @@ class Evaluator(Prepared):
         """As `_judge_pose`, with how the margins change."""
         from r2h_batch.training.gradients import changes
 
-        judged = self._judge_pose(*inputs)
-        found = changes(self.scene, self.config, judged.found, judged.held, judged.goal)
+        judged, pick = self._judge_pose(*inputs), None
+        if "pick" in self.benchmark.asks:
+            from r2h_batch.training.pick_change import pick_change
+
+            _, _, *of_trials = inputs
+            trials, margin_m = Trials(*of_trials), judged.found["margin"][:, len(CRITERIA)]
+            T_world_obj = self._moments(judged.held, trials)
+            pick = pick_change(
+                self.scene, judged.held.T_obj_ee, T_world_obj, trials, judged.held.active, margin_m, judged.found["pick"]
+            )  # fmt: skip
+        found = changes(self.scene, self.config, judged.found, judged.held, judged.goal, pick)
         return judged._replace(changes=found)
 
     def _judge_pose(self, *inputs: Tensor) -> "JudgedPoses":

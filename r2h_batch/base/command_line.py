@@ -57,7 +57,8 @@ def parse(
     for before, argument in itertools.pairwise(("", *arguments)):
         _check_text(argument, "rename the file")
         _check_filled(argument, before)
-    every = HELP_ALL in arguments
+    # what is hidden is not understood either, so flags are hidden from help alone
+    every = HELP_ALL in arguments or not {"-h", "--help"} & set(arguments)
     arguments = ["--help" if a == HELP_ALL else a for a in arguments]
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
@@ -285,7 +286,7 @@ def _deferred(function: Command, every: bool = False, *, first: bool = False) ->
 
     Args:
         function: the command.
-        every: its help shows the flags of its groups too.
+        every: it has the flags of its groups too; else its help names them, and they are not understood.
         first: its help is its first paragraph, in a list of commands.
     """
     words = inspect.cleandoc(function.__doc__ or "")

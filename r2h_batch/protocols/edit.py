@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base.errors import FileError, nearest
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import path_within, printable
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.base.validate import parse_number
@@ -60,7 +61,13 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
     if choice.until:
         base = base.until(choice.until)
     objects = _objects_of(choice.objects, pieces) if choice.objects else base.objects
-    build_ahead([call_of(mesh, pieces=pieces) for mesh in choice.object_mesh])
+    calls = [call_of(mesh, pieces=pieces) for mesh in choice.object_mesh]
+    for beside in (Path(call["mesh"]).with_suffix(".yaml") for call in calls):
+        if beside.is_file():
+            LOG.info(
+                f"{printable(beside)} is not read: --object-mesh takes a mesh alone; --objects FOLDER takes both"
+            )
+    build_ahead(calls)
     more = (object_from_argument(mesh, pieces=pieces) for mesh in choice.object_mesh)
     objects = _with_grasps((*objects, *more), choice.grasps)
     receiver, people = choice.receiver or base.receiver, base.people

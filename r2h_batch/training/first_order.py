@@ -38,8 +38,8 @@ class Changes:
     """Derivatives by the entries of the poses of B trials, m per entry."""
 
     margin: Float32[Tensor, "b c 2 4 4"]
-    """by T_obj_ee and T_world_ee; zero for criteria that were not evaluated and those without
-    witnesses"""
+    """by T_obj_ee and T_world_ee, of all criteria of the benchmark; zero for those that were not evaluated and those
+    without witnesses"""
     shift: Float32[Tensor, "b 4 4"]
     """of how far closing shifts the object, by T_obj_ee"""
 
@@ -105,7 +105,7 @@ def changes_at(
         reason=goal.reason,
         opening_change=made["opening"],
         shift_change=made["shift"],
-        missed=_missed(scene, held.T_world_ee, w),
+        missed=missed_change(scene, held.T_world_ee, w.safe_arm["ee"]),
         pair=goal.nearest_pair,
         body=goal.body,
         other=goal.other,
@@ -121,9 +121,17 @@ def changes_at(
     return Changes(change, made["shift"])
 
 
-def _missed(scene: Scene, T_world_ee: Tensor, w: Witnesses) -> Float32[Tensor, "b 4 4"]:
+def missed_change(
+    scene: Scene, T_world_ee: Float32[Tensor, "b 4 4"], T_reached: Float32[Tensor, "b 4 4"]
+) -> Float32[Tensor, "b 4 4"]:
     """Changes of what the arm misses the poses by that it does not reach; without a closed form, of
-    what the posture that came nearest does."""
+    what the posture that came nearest does.
+
+    Args:
+        scene: the robot.
+        T_world_ee: (B, 4, 4) the poses, m.
+        T_reached: (B, 4, 4) the ee in the posture that came nearest, m.
+    """
     b, device = len(T_world_ee), scene.device
     if scene.robot.family == "ur":
         run = over_trials(kernels.missed_by_ur, b, device, chunk=ROWS_CHUNK)
@@ -131,7 +139,6 @@ def _missed(scene: Scene, T_world_ee: Tensor, w: Witnesses) -> Float32[Tensor, "
         missed: Tensor = run(T_world_ee=T_world_ee, **lengths)["missed"]
     else:
         run = over_trials(kernels.missed_by_posture, b, device, chunk=ROWS_CHUNK)
-        T_reached = w.safe_arm["ee"]
         missed = run(rotation_lever=ROTATION_LEVER_M, T_world_ee=T_world_ee, T_reached=T_reached)[
             "missed"
         ]

@@ -17,6 +17,8 @@ to first order (Danskin):
                           base's axis. Arms without a closed form: what the nearest posture misses
     Plan, start           the nearest pair at home. Of T_obj_ee
     Safe                  nearest points of the hand's mesh and a robot primitive at the goal; as Plan
+    Pick, grasp           nearest points of the open gripper, table and person. Of T_obj_ee
+    Pick, unreachable     as Plan, of the grasp where the object rests
     any other criterion   torch follows the poses through its function in judge/metrics.py
 """
 
@@ -46,7 +48,12 @@ FOLLOWED = tuple(name for name in CRITERIA if name not in first_order.WITNESSED)
 
 
 def changes(
-    scene: Scene, config: EvalConfig, found: dict[str, Tensor], held: AttachedBatch, goal: Goal
+    scene: Scene,
+    config: EvalConfig,
+    found: dict[str, Tensor],
+    held: AttachedBatch,
+    goal: Goal,
+    pick: Float32[Tensor, "b 4 4"] | None = None,
 ) -> first_order.Changes:
     """How the margins of B poses change around them; kernels alone.
 
@@ -56,9 +63,16 @@ def changes(
         found: fields of `Scores` of the poses.
         held: B trials.
         goal: their goals.
+        pick: (B, 4, 4) of Pick's margin, by T_obj_ee (`pick_change`); None: the benchmark does not ask for it.
     """
     decided_by = witnesses.find(scene, config, found, held, goal)
-    return first_order.changes_at(scene, found, held, goal, decided_by)
+    made = first_order.changes_at(scene, found, held, goal, decided_by)
+    if pick is None:
+        return made
+    margin = torch.zeros((*found["margin"].shape, 2, 4, 4), dtype=torch.float32, device=pick.device)
+    margin[:, : len(CRITERIA)] = made.margin
+    margin[:, len(CRITERIA), 0] = pick
+    return replace(made, margin=margin)
 
 
 def differentiable(
@@ -110,6 +124,7 @@ def differentiable(
         )
         zero = torch.zeros_like(scores.margin[:, 0])
         followed = [metrics.margin_of(k, evidence) if k in FOLLOWED else zero for k in CRITERIA]
+        followed += [zero] * (scores.margin.shape[1] - len(CRITERIA))
         moved = moved + torch.where(scores.evaluated, torch.stack(followed, 1), 0.0)
     return replace(scores, margin=with_gradient(scores.margin, moved))
 

@@ -277,3 +277,14 @@ def test_stored_flags_are_read_back_whatever_is_in_a_name():
     assert words_of(objects.partition(" ")[2]) == [given.objects]
     assert tuple(words_of(meshes.partition(" ")[2])) == given.object_mesh and robot == "--robot ur3e_2f85"
     assert words_of("c's.obj b.obj") == ["c's.obj", "b.obj"]
+
+
+def test_a_file_about_a_mesh_that_is_not_read_is_named(tmp_path, capsys):
+    trimesh.creation.box((0.03, 0.05, 0.12)).export(tmp_path / "block.obj")
+    choice = BenchmarkChoice(benchmark="r2h-v1", object_mesh=(str(tmp_path / "block.obj"),))
+    edited(choice)
+    assert "is not read" not in capsys.readouterr().err
+    (tmp_path / "block.yaml").write_text("roles: {wal: wrap}\n")
+    edited(choice)
+    said = capsys.readouterr().err
+    assert f"{tmp_path / 'block.yaml'} is not read" in said and "--objects FOLDER" in said
