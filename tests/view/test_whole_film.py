@@ -80,7 +80,7 @@ def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(reader, tm
 
 def test_the_sight_of_a_run_is_read_back_from_its_header(reader):
     sees = Sees.of_run(reader.run.header)
-    assert sees == Sees.parse(SEES)
+    assert sees == Sees.parse(SEES).on(reader.benchmark)
     assert Sees.of_run({}) is None and Sees.of_run({"sees": None}) is None
 
 
