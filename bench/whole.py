@@ -51,7 +51,7 @@ RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
 TRACKS: dict[str, tuple[str, ...]] = {
     "truth": ("--method", *METHODS, "--save-paths"),
-    "seen": ("--sees", SEES, "--method", *SEEING),
+    "seen": ("--sees", SEES, "--method", *SEEING, "--save-paths"),
 }
 BOUND = """The robust search less the best published rule ({best}), paired by trial: {points:+.1f} points, 95 %
 {low:+.1f} to {high:+.1f} (Tango 1998; asked: at least 15).
