@@ -120,7 +120,7 @@ under 16 drawn errors of what it saw. It knows neither the person's arm and tors
 
 {bound}{believed}## Cost
 
-Process milliseconds of one core a row, {timed} rows{at_once}, moments known (drawing one takes {moment:.1f}):
+Process milliseconds of one core a row, {timed} rows in one call, moments known (drawing one takes {moment:.1f}):
 
 {cost}
 
@@ -399,21 +399,19 @@ def markdown(data: Any) -> str:
         for k, m in methods.items()
     ]
     sighted = short_names(list(data["seen"]))
-    seen_outcomes = {k: m.get("outcomes", m) for k, m in data["seen"].items()}
+    seen_outcomes = {k: m["outcomes"] for k, m in data["seen"].items()}
     n = 2 * data["seen_trials"]
     seen = [
         [sighted[k], rate(m.get("success", 0), n), *(f"{100 * m.get(c, 0) / n:.1f}" for c in order)]
         for k, m in seen_outcomes.items()
     ]
     failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
-    bound, few, more_cost = "", f"More than {data['seen_trials']} {FEW}", ""
-    if "rules" in data:  # runs before these figures lack them
-        bound, few = _bound_of(data, sighted)
-        cost += [
-            ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
-            ["the pose stage with Pick", f"{ms['pose']:.3f}"],
-        ]
-        more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
+    bound, few = _bound_of(data, sighted)
+    cost += [
+        ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
+        ["the pose stage with Pick", f"{ms['pose']:.3f}"],
+    ]
+    more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
         [short[k], of, *(f"{100 * m['reasons'].get(r, 0) / of:.1f}" for r in reasons)]
@@ -443,12 +441,11 @@ def markdown(data: Any) -> str:
         bound=bound,
         few=few,
         more_cost=more_cost,
-        at_once=" in one call" if "rules" in data else "",
         idle=", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
         sees=SEES,
         seen_trials=data["seen_trials"],
         seen=markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
-        believed=_believed(data, sighted, order) if "rooms" in data else "",
+        believed=_believed(data, sighted, order),
         n=oracle["n"],
         unsolved=sum(lost.values()),
         unsolved_words=", ".join(f"{k.replace('_', ' ')} {v}" for k, v in lost.most_common()) or "none",

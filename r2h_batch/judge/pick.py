@@ -351,7 +351,7 @@ class _Batch:
 
     def _made(self, planned: Picked) -> Picked:
         """These rows, which were picked where they were planned, stage by stage."""
-        scene, limits, every = self.scene, self.scene.config.thresholds, self._every
+        every = self._every
         at_grasp = planned.way_in[:, -1].contiguous()
         stages = _Stages(self)
         touching = self._gripper_at(every, at_grasp)
@@ -360,10 +360,7 @@ class _Batch:
         stages.fail(approach.clearance_m <= 0, PickReason.APPROACH_COLLIDES, approach)
         entered = self._entered(stages.left)
         stages.fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
-        grasp = close_gripper(
-            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
-            mode=scene.config.width, known=True,
-        )  # fmt: skip
+        grasp = self._grasp
         held = _margin(grasp.margin_m)
         stages.fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
         stages.fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
@@ -381,12 +378,7 @@ class _Batch:
 
     def _from_here(self, q: Tensor, valid: Tensor) -> Picked:
         """The stages after the first two, of rows that pass those; q, valid: (B, 8) branches at the grasp."""
-        scene = self.scene
-        limits = scene.config.thresholds
-        grasp = close_gripper(
-            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
-            mode=scene.config.width, known=True,
-        )  # fmt: skip
+        grasp = self._grasp
         tried = self._tried(grasp, q, valid)
         stages = _Stages(self)
         fail = stages.fail
@@ -514,6 +506,15 @@ class _Batch:
             self.T_world_hand[rows],
             opening_m,
         )
+
+    @cached_property
+    def _grasp(self) -> Grasp:
+        """The gripper closed on the objects."""
+        scene, limits = self.scene, self.scene.config.thresholds
+        return close_gripper(
+            scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
+            mode=scene.config.width, known=True,
+        )  # fmt: skip
 
     @cached_property
     def _every(self) -> Tensor:
@@ -830,9 +831,4 @@ def closing_room(
     number = torch.arange(len(q), dtype=torch.int64, device=q.device)
     trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
     batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials)
-    limits = scene.config.thresholds
-    grasp = close_gripper(
-        scene.grasp_tables, batch.T_obj_ee.contiguous(), batch.objects, w_max=limits.w_max_m,
-        w_min=limits.w_min_m, mode=scene.config.width, known=True,
-    )  # fmt: skip
-    return batch._closing(grasp, q, batch.active).clearance_m
+    return batch._closing(batch._grasp, q, batch.active).clearance_m

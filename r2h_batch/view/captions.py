@@ -68,10 +68,11 @@ def summary(row: dict[str, Any]) -> str:
 
 
 def title(drawing: Drawing) -> str:
-    """Trial, object, hand and split."""
+    """Trial, object, hand and split; whether planning's belief is drawn."""
     row = drawing.stored.row
     name = str(row["object"]).replace("_", " ")
-    return f"Trial {row['trial_id']}: {name} to a {row['side']} hand ({row['split']})"
+    as_what = ", as planning believed it" if drawing.stored.believed else ""
+    return f"Trial {row['trial_id']}: {name} to a {row['side']} hand ({row['split']}){as_what}"
 
 
 def as_markdown(drawing: Drawing) -> str:

@@ -336,8 +336,12 @@ class Drawing:
         return float(margin) if margin is not None and np.isfinite(margin) else None
 
     def _checked(self) -> list[tuple[int, int, str]]:
-        """Pairs of geoms that planning checks, and the kind of each."""
+        """Pairs of geoms that planning checks, and the kind of each; arm and torso of the person are checked as the hand is."""
         of_body = self._collision_geoms()
+        person = of_body.get("hand", [])
+        if self.stored.header["configuration"].get("receiver") == "body":
+            person = [*person, *of_body.get("receiver", [])]
+        of_body["hand"] = person
         return [
             (a, b, kind)
             for both, kind in checked_pairs(self.stored.robot).items()
@@ -477,7 +481,7 @@ class Drawing:
             for name, point in zip(witness.geoms, witness.line, strict=False):
                 if name == REGION:
                     continue
-                if name.startswith("table"):  # where it is met, not all of it
+                if name.startswith(("table", "receiver/torso")):  # where it is met, not all of it
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)

@@ -35,6 +35,7 @@ from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, UNITS
+from r2h_batch.view.believed import as_believed
 from r2h_batch.view.legs import with_legs
 from r2h_batch.view.postures import postures_at
 from r2h_batch.view.stored_trial import StoredTrial
@@ -137,6 +138,9 @@ class Reader:
         """The trial with the legs before its motion, where it begins on the table."""
         if "passed_pick" not in stored.row:
             return stored
+        believed = as_believed(stored, self.evaluator, trial, answer)
+        if believed is not None:
+            return believed
         return with_legs(stored, self.evaluator, trial, answer)
 
     @cached_property

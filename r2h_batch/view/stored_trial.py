@@ -35,6 +35,7 @@ class StoredTrial:
     receiver: Array | None = None  # (5, 4) as in Trials.receiver, where the protocol has a person
     asked: Postures | None = None  # what planning met at the target, where there is no path
     planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
+    believed: bool = False  # the bodies are those that planning believed in
     note: str = ""  # where what was computed again is not what is stored
     resting: Array | None = None  # T_world_obj of an object that nobody holds yet; None: it is held
     before: "tuple[StoredTrial, ...]" = ()  # legs before the motion: how the object was picked

@@ -437,3 +437,27 @@ def test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed():
     assert (followed(q, valid, T[None].contiguous(), most_off=0.9 * bow)[1] == 1).all()
     turned = followed(q, valid, ends[None].contiguous())[2].numpy()
     assert turned == pytest.approx(bow + 0.2 * np.sin(0.05), abs=2e-6)
+
+
+def test_a_hand_near_home_decides_the_margin_of_the_way_from_there():
+    """Nothing else of these rows is as near: ways in, closing and lift happen elsewhere."""
+    T_obj_ee, T_world_obj, trials = asked(0, 14)
+    result = found(0, 14)
+    rows = torch.nonzero(result.picked & (result.margin_m > 0.009)).flatten()[:3]
+    home = torch.tensor(scene().config.workplace.home_q)[None]
+    for i in each(rows.tolist()):
+        one, rest = trials[i : i + 1], T_world_obj[i : i + 1]
+        ee = torch.from_numpy(ee_pose(scene().robot, home.double().numpy())[0, :3, 3]).float()
+        low, high = 0.05, 0.9
+        for _ in range(12):  # above the gripper at home, as far as leaves 4 mm
+            middle, there = (low + high) / 2, one.T_world_hand.clone()
+            there[:, :3, 3] = ee + torch.tensor([0.0, 0.0, middle])
+            poses = scene().body_poses(
+                one.object_index, one.hand_index, T_obj_ee[i : i + 1], there, torch.full((1,), scene().robot.open_gap_m)
+            )
+            alone = without(scene(), poses, attached=True, table=True)
+            kept = float(path_clearances(scene(), alone, home[:, None], torch.ones(1, dtype=torch.int32))[0])
+            low, high = (middle, high) if kept < 0.004 else (low, middle)
+        moved = replace(one, T_world_hand=there)
+        again = picked(scene(), T_obj_ee[i : i + 1], rest, moved)
+        assert bool(again.picked) and 0.0 < float(again.margin_m) <= kept + 5e-4 < 0.008

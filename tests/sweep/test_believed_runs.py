@@ -5,14 +5,18 @@ from collections import Counter
 
 import pytest
 import torch
+from rounds import each
 from sweep_command import in_process
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import UsageError
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.observe.believed_world import ROOM_M
 from r2h_batch.observe.sees import Sees
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.person import PIECES
+from r2h_batch.view.captions import title
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
@@ -30,6 +34,15 @@ def runs(tmp_path_factory):
     ):
         done = in_process(*LINE, *more, "--out", folder / name)
         assert done.returncode == 0, done.stderr
+    return folder
+
+
+@pytest.fixture(scope="module")
+def failing(tmp_path_factory):
+    """A method that does not know the person: its plans fail."""
+    folder = tmp_path_factory.mktemp("failing") / "run"
+    line = [word if word != "learned" else "handover-va" for word in LINE]
+    assert in_process(*line, "--sees", "cell-v1", "--out", folder).returncode == 0
     return folder
 
 
@@ -110,3 +123,27 @@ def test_what_fails_is_said_in_words(runs, capsys):
         out = capsys.readouterr().out
         assert f"{row['outcome']} fails" in out and "would pass" in out
     assert Counter(r["outcome"] for r in rows(runs / "truth")) != Counter(r["outcome"] for r in rows(runs / "one"))
+
+
+def test_a_plan_that_fails_in_the_belief_is_drawn_there_with_the_pair_of_its_margin(failing):
+    reader, persons = Reader(failing), 0
+    failed = [r for r in rows(failing) if r["outcome"] == "plan" and r["plan_reason"] == "ik_in_collision"]
+    for row in each(failed[:5]):
+        stored = reader.trial(row["trial_id"])
+        drawing = Drawing(stored)
+        assert stored.believed and stored.object_model.name.startswith("seen_") and "believed" in title(drawing)
+        assert stored.asked.clearance_m == pytest.approx(row["margin_plan_m"], abs=1e-6)
+        near, witness = stored.asked.nearest, drawing.witness
+        ends = {name.partition("/")[2] or name for name in witness.geoms}
+        assert near.part in ends | {"object"} and witness.distance_m < ROOM_M + 1e-3
+        if near.other in PIECES:
+            persons += 1
+            assert any(name.startswith("receiver/") for name in witness.geoms)
+    assert persons
+
+
+def test_a_motion_that_was_made_is_drawn_in_the_true_world(runs):
+    reader = Reader(runs / "one")
+    for row in each([r for r in rows(runs / "one") if r["plan_reason"] in ("ok", "motion_in_collision")][:3]):
+        stored = reader.trial(row["trial_id"])
+        assert not stored.believed and stored.object_model.name == row["object"]

@@ -119,3 +119,13 @@ def test_other_margins_change_as_where_nobody_asks_for_pick(name):
     for other in each(found[1:]):
         assert all(torch.equal(a, b) for a, b in zip(found[0], other, strict=True))
     assert any(x.any() for x in found[0])
+
+
+def test_torch_compile_gives_the_same_margins_of_all_criteria():
+    trials, grasps, poses = asked()
+    ev = evaluator()
+    found = torch.compile(lambda a, b: 2 * ev.score(a, b, trials[:4], stages="pose").margin)(grasps[:4], poses[:4])
+    plain = ev.score(grasps[:4], poses[:4], trials[:4], stages="pose")
+    assert found.shape == (4, len(plain.criteria)) and torch.equal(
+        found.nan_to_num(7), 2 * plain.margin.nan_to_num(3.5)
+    )
