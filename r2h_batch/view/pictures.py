@@ -208,9 +208,9 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
             method = stored.method
             if len(method) + len(words) > LETTERS * n:  # both stand in one line
                 method = method.partition(" (")[0]
-            size = 9 * min(1.0, LETTERS * n / (len(method) + len(words)))
-            part.text(0.005, 0.995, method, ha="left", va="top", fontsize=size, weight="bold")
-            part.text(0.995, 0.995, words, ha="right", va="top", fontsize=size, color=color)
+            letters = 9 * min(1.0, LETTERS * n / (len(method) + len(words)))
+            part.text(0.005, 0.995, method, ha="left", va="top", fontsize=letters, weight="bold")
+            part.text(0.995, 0.995, words, ha="right", va="top", fontsize=letters, color=color)
             axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
             part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
             for axis in axes:
