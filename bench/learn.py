@@ -599,7 +599,7 @@ class Bench:
         return {"views": self.seeing("views", VIEW)}
 
     def views_told(self) -> dict[str, Any]:
-        """The same, where the seen points of the receiver's region are told."""
+        """Rankers and robust search where the seen points of the receiver's region are told."""
         return {"views-told": self.seeing("views-told", VIEW_TOLD)}
 
     def seeing(self, folder: str, sees: str) -> dict[str, Any]:
@@ -987,7 +987,7 @@ def views_words(own: Mapping[str, Any]) -> str:
 
 
 def views_told_words(own: Mapping[str, Any]) -> str:
-    """What follows it, with the region told."""
+    """The table and words of rankers that see with the region told."""
     lines = []
     for name, less in own["paired"].items():
         better = 1 if less["low"] > 0 else -1 if less["high"] < 0 else 0
