@@ -106,7 +106,7 @@ def test_shards_that_are_there_stay_and_others_are_made_alike(shards, tmp_path, 
         (("--sees", "cell-v9"), "rig 'cell-v9'"),
         (("--trials", "0"), "--trials is 0; it must be 1 to 1000"),
         (("--sees", "cell-v1,noise=0"), "is of shards made otherwise; take another --out"),
-        (("--families", "cup x 0"), "x 0 of one family is 0 objects"),
+        (("--families", "cup x 0"), "families: x 0 of one family is 0 objects"),
     ],
 )
 def test_what_cannot_be_exported_is_refused_in_one_line(shards, more, words, capsys):
