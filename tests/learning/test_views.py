@@ -177,7 +177,10 @@ def test_a_ranker_learns_from_shards_and_begins_with_given_weights(believed, tmp
         (("--views", "{text}"), "shard-000000.h5: not a readable shard"),
         (("--views", "{believed}", "--leave-out", "cup"), "--leave-out does not go with --views"),
         (("--views", "{believed}", "--benchmark", "r2h-v2"), "--benchmark does not go with --views"),
-        (("--views", "{believed}", "--start", "{empty}/none.safetensors"), "none.safetensors: no such file"),
+        (
+            ("--views", "{believed}", "--start", "shippd"),
+            "shippd: no such file; give rank.safetensors of another training, or shipped",
+        ),
     ],
 )
 def test_what_a_ranker_cannot_learn_from_is_refused_in_one_line(shards, believed, tmp_path, more, words, capsys):
