@@ -15,7 +15,7 @@ from r2h_batch.scene.objects import ObjectModel
 
 PREFIX = "families:"
 OBJECTS = "--objects"
-"""What most commands are given such a text as."""
+"""The flag of such a text in most commands."""
 MOST = 1000
 """Instances of one command, a CPU second each where the cache does not hold them."""
 FIRST_SERIES = 1000
