@@ -34,8 +34,8 @@ def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
     Files beside the shards (held, reception, transfer, viewed) that are too large, of other trials, or not as they were written
-    are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
-    some shards again, or a file was set aside.
+    are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1:
+    the same sweep will score some shards again, or a file was set aside.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
