@@ -79,9 +79,10 @@ TRAININGS = {
 }
 SAME_WEIGHTS = ("one process", "two processes")
 VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
-VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
-"""Steps on what cameras saw; trials of a split, and what is seen in them."""
-SEEING = {"Learned": "learned", "Learned from views": "learned,weights={}", "robust search": "robust"}
+VIEW_STEPS, VIEW_TRIALS, VIEW, VIEW_TOLD = 600, 40, "cell-v1", "cell-v1,region=told"
+"""Steps on what cameras saw; trials of a split; what is seen in them, and with the receiver's region told."""
+FROM_VIEWS = "Learned from views"
+SEEING = {"Learned": "learned", FROM_VIEWS: "learned,weights={}", "robust search": "robust"}
 LIMITS = {
     "learned": "Learned", "a pair": "any of its 384 pairs", "oracle": "oracle", "held": "a candidate holds",
     "denser": "a denser one holds",
@@ -355,6 +356,17 @@ def paired_over_categories(
     return {"points": 100 * over.value, "low": ends[0], "high": ends[1], "only first": first, "only second": second}
 
 
+def paired_on_trials(a: Sequence[bool], b: Sequence[bool]) -> dict[str, float]:
+    """Difference of two methods on the same trials, points, its 95 % interval for these objects, and how many trials only one
+    of them has."""
+    from r2h_batch.report.statistics.intervals import paired_score_interval
+
+    first, second = (sum(x and not y for x, y in zip(*own, strict=True)) for own in ((a, b), (b, a)))
+    low, high = paired_score_interval(first, second, len(a))
+    points = 100 * (first - second) / len(a)
+    return {"points": points, "low": 100 * low, "high": 100 * high, "only first": first, "only second": second}
+
+
 def generator(place: Path) -> dict[str, Any]:
     """The result of examples/train_generator.py as it is printed."""
     sys.path.insert(0, str(ROOT / "examples"))
@@ -583,39 +595,46 @@ class Bench:
         return {"recipes": found}
 
     def views(self) -> dict[str, Any]:
-        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, on what two posts
-        see."""
+        """The rankers and the robust search on what two posts see."""
+        return {"views": self.seeing("views", VIEW)}
+
+    def views_told(self) -> dict[str, Any]:
+        """Rankers and robust search where the seen points of the receiver's region are told."""
+        return {"views-told": self.seeing("views-told", VIEW_TOLD)}
+
+    def seeing(self, folder: str, sees: str) -> dict[str, Any]:
+        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, all with one sight.
+
+        Rows have SR of each split with its 95 % interval, and first failures of both. `paired`: Learned from views less each
+        other one on the same trials.
+        """
         from r2h_batch.learning.observe_command import export
         from r2h_batch.learning.rank import CHECKPOINT, LESSONS, SHIPPED, Recipe, train_on_views
         from r2h_batch.report.table import table_of
         from r2h_batch.runs.store import load_run
 
-        place = self.options.runs / "views"
+        options, place = self.options, self.options.runs / folder
+        sizes = VIEWS | {"shards": options.view_shards}
         start = time.process_time()
-        export(out=place / "shards", **VIEWS)
+        export(out=place / "shards", sees=sees, **sizes)
         exported = time.process_time() - start
         weights = train_on_views(place / "shards", Recipe(start=SHIPPED, steps=VIEW_STEPS), place / "rank")
         spent = torch.load(place / "rank" / CHECKPOINT, weights_only=True)["spent"]
         lessons = torch.load(place / "rank" / LESSONS.format(0), weights_only=True)["truth"]
-        found: dict[str, Any] = {"spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {}}
+        found: dict[str, Any] = {
+            "spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {},
+            "trained trials": sizes["shards"] * sizes["trials"], "trials": options.view_trials,
+        }  # fmt: skip
+        won: dict[str, list[bool]] = {}
         for name, text in SEEING.items():
-            method = text.format(weights.absolute())
             words = (
-                "--method",
-                method,
-                "--sees",
-                VIEW,
-                "--sim",
-                "none",
-                "--trials",
-                VIEW_TRIALS,
-                "--threads",
-                1,
-                "--quiet",
+                *("--method", text.format(weights.absolute()), "--sees", sees, "--sim", "none"),
+                *("--trials", options.view_trials, "--threads", 1, "--quiet"),
             )
             run = load_run(swept(place / name.replace(" ", "-"), *words))
             (title,) = run.methods
-            outcomes = Counter(run.trials(title)["outcome"].to_pylist())
+            outcome = run.trials(title)["outcome"].to_pylist()
+            won[name], outcomes = [o == "success" for o in outcome], Counter(outcome)
             told: dict[str, Any] = {"failed": {c: outcomes[c] for c in CAUSES}}
             for line in table_of(run).rows:
                 if line.split != "Avg":
@@ -624,7 +643,8 @@ class Bench:
                     told[line.split] = [sr.percent, sr.low, sr.high]
             found["rows"][name] = told
             print(name, told, flush=True)
-        return {"views": found}
+        found["paired"] = {name: paired_on_trials(won[FROM_VIEWS], won[name]) for name in SEEING if name != FROM_VIEWS}
+        return found
 
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
@@ -664,7 +684,7 @@ class Bench:
 
 
 PARTS = (
-    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "costs"),
+    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "views-told", "costs"),
     *("turned", "received", "generator", "policy", "memory", "drawing"),
 )
 
@@ -676,7 +696,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
     commits = found.get("commits", {name: found.get("commit") for name in PARTS})
     for name in options.parts:
-        told = getattr(bench, name)()
+        told = getattr(bench, name.replace("-", "_"))()
         found |= told
         commits |= {name: made["commit"]} if told else {}
         print(name, "measured", flush=True)
@@ -699,7 +719,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
   too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{recipes}{views}{generator}{policy}{drawing}## What it costs
+{received}{regions}{recipes}{views}{told}{generator}{policy}{drawing}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -758,9 +778,21 @@ Affordance / Safe.
 
 {table}
 
-Nobody was told the region here (`region=told` tells it), so in S1 Affordance stops all of them.
+Nobody was told the region here, so in S1 Affordance stops all of them.
 
 """
+VIEWS_TOLD = """With `--sees cell-v1,region=told` the seen points of the receiver's region are told, as a part labeller
+with misplaced borders gives them ([what is seen](../observe.md)). `Learned from views` learned anew from such views:
+{pairs:,} pairs of {trained:,} trials. The table has {of} trials a split.
+
+{table}
+
+{differences}
+
+"""
+VIEWS_LESS = """- {first} less {second}, both splits: {points:+.1f} points [{low:+.1f}, {high:+.1f}] (95 % interval for these
+  objects). Only the first succeeds in {only first} trials, only the second in {only second}. {answer}"""
+DECIDED = {1: "The first is better.", -1: "The second is better.", 0: "Which is better is not decided."}
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
@@ -932,16 +964,37 @@ def recipes_words(found: Mapping[str, Any]) -> str:
     )  # fmt: skip
 
 
-def views_words(own: Mapping[str, Any]) -> str:
-    """The section on rankers that see."""
+def views_table(own: Mapping[str, Any]) -> str:
+    """SR of the splits and first failures of rankers that see."""
     rows = []
     for name, told in own["rows"].items():
         sr = ["{:.1f} ({:.1f}-{:.1f})".format(*told[s]) for s in ("S0", "S1")]
         rows.append([name, *sr, "/".join(str(x) for x in told["failed"].values())])
+    return markdown_table(["", "S0", "S1", "first failures"], rows)
+
+
+def trained_trials(own: Mapping[str, Any]) -> int:
+    """Seen trials that a ranker learned from; earlier measurements do not store the default number."""
+    return int(own.get("trained trials", VIEWS["shards"] * VIEWS["trials"]))
+
+
+def views_words(own: Mapping[str, Any]) -> str:
+    """The section on rankers that see."""
     return VIEWS_WORDS.format(
-        pairs=own["pairs"], trials=VIEWS["shards"] * VIEWS["trials"], export=own["spent"]["export"],
-        train=own["spent"]["labels"] + own["spent"]["train"], of=VIEW_TRIALS,
-        table=markdown_table(["", "S0", "S1", "first failures"], rows),
+        pairs=own["pairs"], trials=trained_trials(own), export=own["spent"]["export"],
+        train=own["spent"]["labels"] + own["spent"]["train"], of=own.get("trials", VIEW_TRIALS), table=views_table(own),
+    )  # fmt: skip
+
+
+def views_told_words(own: Mapping[str, Any]) -> str:
+    """The table and words of rankers that see with the region told."""
+    lines = []
+    for name, less in own["paired"].items():
+        better = 1 if less["low"] > 0 else -1 if less["high"] < 0 else 0
+        lines.append(VIEWS_LESS.format(first=FROM_VIEWS, second=name, answer=DECIDED[better], **less))
+    return VIEWS_TOLD.format(
+        pairs=own["pairs"], trained=trained_trials(own), of=own.get("trials", VIEW_TRIALS), table=views_table(own),
+        differences="\n".join(lines),
     )  # fmt: skip
 
 
@@ -1011,6 +1064,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         regions=regions_words(data["regions"]) if "regions" in data else "",
         recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
         views=views_words(data["views"]) if "views" in data else "",
+        told=views_told_words(data["views-told"]) if "views-told" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
         policy=policy_words(data["policy"]) if "policy" in data else "",
@@ -1031,6 +1085,13 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
     parser.add_argument("--received", type=int, default=500, help="of each split, whose objects receivers try to take")
+    parser.add_argument("--view-trials", type=int, default=VIEW_TRIALS, help="of each split, of methods that see")
+    parser.add_argument(
+        "--view-shards",
+        type=int,
+        default=VIEWS["shards"],
+        help="shards of 60 trials that a ranker that sees learns from",
+    )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")
