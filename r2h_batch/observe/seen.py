@@ -1,5 +1,6 @@
 """Images and clouds of cameras: all that a method that sees is given. Imports nothing of the scene."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -167,14 +168,15 @@ class Observation:
         row, pixel = (x.cpu().numpy() for x in shown.flatten(1).nonzero(as_tuple=True))
         key, ids = rng.key_of(f"cloud {label} {seed}"), self.key.cpu().numpy()
         (turn,) = rng.uniforms(key, ids[row], 1, purpose=0, attempt=pixel)
-        order = np.lexsort((turn, row))
-        count = np.bincount(row, minlength=len(self))
-        first = np.cumsum(count) - count
-        k = np.arange(points)
-        there = k < count[:, None]
+        # of equal turns the first pixel: numbers to sort, which takes a tenth of sorting by two columns
+        order = (turn * 2.0**32).astype(np.uint64) << np.uint64(32) | pixel.astype(np.uint64)
+        ends = np.searchsorted(row, np.arange(len(self) + 1))
         # masked places read any pixel
         taken = np.zeros((len(self), points), np.int64)
-        taken[there] = pixel[order][(first[:, None] + k)[there]]
+        there = np.arange(points) < np.diff(ends)[:, None]
+        for i, (begin, end) in enumerate(itertools.pairwise(ends.tolist())):
+            own = np.sort(order[begin:end])[:points]
+            taken[i, : len(own)] = own & np.uint64(0xFFFFFFFF)
         mask, at = (torch.from_numpy(x).to(shown.device) for x in (there, taken))
         h, w = shown.shape[-2:]
         return mask, at // (h * w), at % (h * w) // w, at % w

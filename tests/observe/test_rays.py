@@ -195,6 +195,27 @@ def test_clouds_take_every_pixel_once_and_mask_the_rest():
         assert len(torch.unique(cloud[i][mask[i]], dim=0)) == int(count[i])
 
 
+def test_pixels_come_into_clouds_by_their_numbers_and_the_first_of_those_with_the_same(monkeypatch):
+    images, drawn = seen().object, {}
+
+    def few(key, ids, count, *, purpose, attempt):
+        """One of 64 numbers for each pixel."""
+        drawn["turn"] = (np.random.default_rng(4).integers(0, 1 << 6, len(ids)) * 2**26 + 0.5) * 2.0**-32
+        return drawn["turn"][None]
+
+    monkeypatch.setattr("r2h_batch.base.rng.uniforms", few)
+    cloud, mask = seen().cloud(20_000)
+    row, camera, v, u = ((images.label == 3) & (images.depth_m > 0)).nonzero(as_tuple=True)
+    for i in each(range(len(cloud))):
+        own = np.flatnonzero(row.numpy() == i)
+        own = own[np.argsort(drawn["turn"][own], kind="stable")]
+        z = images.depth_m[i, camera[own], v[own], u[own]]
+        T, K = seen().T_world_camera[i, camera[own]], images.K[i, camera[own]]
+        x, y = ((k[own] + 0.5 - K[:, a, 2]) / K[:, a, a] * z for a, k in ((0, u), (1, v)))
+        points = (T[:, :3, :3] @ torch.stack([x, y, z], 1)[..., None])[..., 0] + T[:, :3, 3]
+        assert (cloud[i][mask[i]] - points).abs().max() < 1e-6
+
+
 def test_clouds_are_even_samples_and_smaller_ones_begin_larger_ones():
     whole, mask = seen().cloud(20_000)
     large, small = seen().cloud(400)[0], seen().cloud(150)[0]

@@ -101,6 +101,49 @@ def test_measured_depth_is_that_of_a_float64_twin(noise):
         assert both.sum() > 20_000 and (off > 1e-6).mean() < 2e-3 and off.max() < 1.01e-4
 
 
+def sparse(rows, columns, n, cameras=2, seed=0):
+    """Depth (n, c, h, w), mostly none, and facing; the last window shows one pixel."""
+    drawn = np.random.default_rng(seed)
+    shape = (n, cameras, rows, columns)
+    depth = np.where(drawn.random(shape) < 0.1, drawn.uniform(0.4, 1.5, shape), 0)
+    depth[-1] = 0
+    depth[-1, :, rows // 2, columns // 2] = 0.9
+    return torch.from_numpy(depth.astype(np.float32)), torch.from_numpy(drawn.uniform(0.1, 1, shape).astype(np.float32))
+
+
+@pytest.mark.parametrize("side", [1, 2, 3])
+def test_windows_of_any_size_and_place_that_show_little_are_measured_as_the_twin_says(side):
+    rig = RIG.model_copy(update={"sensor": Sensor(disparity_side_px=side, lateral_px=1.0)})
+    corner = torch.tensor([[[-5, 11], [1270, 300]], [[301, 0], [-12, -7]], [[400, 401], [17, 716]]], dtype=torch.int32)
+    ids = torch.tensor([3, 1 << 40, 12], dtype=torch.int64)
+    for rows, columns in each([(13, 29), (3, 1), (1, 8)]):
+        depth, facing = sparse(rows, columns, 3)
+        found = Errors(rig, noise=2.0, labels="exact", seed=3, device="cpu").measured(ids, corner, depth, facing)
+        for i, c in np.ndindex(3, 2):
+            at = corner[i, c].numpy()
+            expected, *_ = twin(
+                rig, rig.cameras[c].name, int(ids[i]), at, depth[i, c].numpy(), facing[i, c].numpy(), noise=2.0, seed=3
+            )
+            y, x = np.mgrid[:rows, :columns] + at[::-1, None, None]
+            expected[(x < 0) | (x >= rig.width) | (y < 0)] = 0
+            assert np.abs(found[i, c].double().numpy() - expected).max() < 1.01e-4
+            assert ((found[i, c] > 0).numpy() == (expected > 0)).all()
+        assert columns < 9 or ((found[-1] > 0).sum() > 2 and (found[0, 0] > 0).any())
+
+
+def test_rows_and_single_pixels_of_a_thread_give_the_same_bits(monkeypatch):
+    _, trials, _ = cell()
+    corner, depth, label, facing = exact_windows()
+    label, ids = label[..., :90, :90].contiguous(), trials.trial_id
+    for kind in each(("missed", "grown", "eroded")):
+        errors = Errors(RIG, noise=1.0, labels=kind, seed=3, device="cpu")
+        by_row = errors.measured(ids, corner, depth, facing), errors.masked(ids, label)
+        with monkeypatch.context() as patch:  # as a thread of a GPU takes them
+            patch.setattr(Errors, "_several", lambda self, columns: 1)
+            alone = errors.measured(ids, corner, depth, facing), errors.masked(ids, label)
+        assert all(torch.equal(a, b) for a, b in zip(by_row, alone, strict=True))
+
+
 def test_the_angle_to_the_surface_is_that_of_float64_rays():
     scene, trials, T = cell()
     corner, depth, label, facing = exact_windows()
@@ -249,8 +292,9 @@ def test_a_pixel_has_the_same_error_in_every_window_that_shows_it_and_in_any_bat
     whole, ids = torch.full((3, 2, 96, 96), 0.9), torch.tensor([4, 900_000_000_007, 4 + (1 << 32)])
     corner = torch.full((3, 2, 2), 200, dtype=torch.int32)
     one = errors.measured(ids, corner, whole, torch.ones_like(whole))
-    other = errors.measured(ids, corner + 24, whole, torch.ones_like(whole))
-    assert torch.equal(one[..., 24:, 24:], other[..., :-24, :-24])
+    for px in (3, 24):
+        other = errors.measured(ids, corner + px, whole, torch.ones_like(whole))
+        assert torch.equal(one[..., px:, px:], other[..., :-px, :-px])
     # ids that differ in their upper half alone too: those of training streams lie beyond 2^40
     assert not torch.equal(one[0], one[1]) and not torch.equal(one[0], one[2])
     alone = errors.measured(ids[1:2], corner[1:2], whole[1:2], torch.ones_like(whole[1:2]))
@@ -306,6 +350,26 @@ def test_masks_shrink_and_grow_by_two_pixels():
         assert np.array_equal(eroded[i, 0] == thing, inside)
         assert (eroded[i, 0][own & ~inside] == 0).all()
         assert np.array_equal(eroded[i, 0][~own], exact[i, 0][~own])
+
+
+@pytest.mark.parametrize("px", [1, 3])
+def test_masks_that_touch_each_other_and_the_border_shrink_and_grow_as_squares_say(px):
+    rig = RIG.model_copy(update={"sensor": Sensor(mask_px=px)})
+    drawn = np.random.default_rng(px)
+    for rows, columns in each([(11, 19), (2, 23), (5, 1)]):
+        blocks = drawn.choice([0, 1, 3, 3, 4, 4], (3, 2, -(-rows // 4), -(-columns // 4)))
+        label = np.kron(blocks, np.ones((4, 4), np.uint8))[..., :rows, :columns].astype(np.uint8)
+        for kind in ("grown", "eroded"):
+            errors = Errors(rig, noise=1.0, labels=kind, seed=0, device="cpu")
+            found = errors.masked(torch.arange(3), torch.from_numpy(label.copy())).numpy()
+            for i, c in np.ndindex(3, 2):
+                own, expected = label[i, c], label[i, c].copy()
+                for thing in (3, 4):  # the hand's mask lies above the object's
+                    others = ~dilated(own != thing, px)
+                    inside = dilated(own == thing, px) if kind == "grown" else others
+                    expected[(own == thing) & ~inside & (expected == thing)] = 0
+                    expected[inside] = thing
+                assert np.array_equal(found[i, c], expected)
 
 
 def test_one_mask_in_twenty_is_missed_by_camera_trial_and_thing():
