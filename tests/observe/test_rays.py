@@ -195,6 +195,16 @@ def test_clouds_take_every_pixel_once_and_mask_the_rest():
         assert len(torch.unique(cloud[i][mask[i]], dim=0)) == int(count[i])
 
 
+def test_a_cloud_that_cannot_be_is_refused_in_words():
+    with pytest.raises(ValueError, match="label is 'objekt'; allowed are nothing, table"):
+        seen().cloud(10, label="objekt")
+    with pytest.raises(ValueError, match="points is -3; it must be"):
+        seen().cloud(-3)
+    with pytest.raises(TypeError, match=r"points is 2\.5; it must be"):
+        seen().cloud(2.5)
+    assert seen().cloud(0)[0].shape == (len(seen()), 0, 3)
+
+
 def test_pixels_come_into_clouds_by_their_numbers_and_the_first_of_those_with_the_same(monkeypatch):
     images, drawn = seen().object, {}
 

@@ -404,6 +404,16 @@ def test_a_rig_file_says_its_sensor_and_wrong_errors_are_refused_in_one_line(tmp
     file.write_text(f'name = "mine"\n{camera}[sensor]\nlost = 3\n')
     with pytest.raises(UserError, match=r"sensor\.lost is 3; .*1"):
         load_rig(file)
+    for words, hint in each(
+        [
+            ("widht = 3", "did you mean width?; it has name, "),
+            ("[sensor]\ndisparity = 0.1", "did you mean disparity_px?; it has baseline_m"),
+        ]
+    ):
+        own, last = ("", words) if words.startswith("[") else (words, "")
+        file.write_text(f'name = "mine"\n{own}\n{camera}{last}\n')
+        with pytest.raises(UserError, match=f"there is no such field, {hint.replace('?', '[?]')}"):
+            load_rig(file)
     scene, trials, _ = cell()
     with pytest.raises(ValueError, match="noise"):
         observe(scene, trials, CELL_V1, noise=-1)
