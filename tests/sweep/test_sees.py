@@ -120,7 +120,6 @@ def test_poses_that_are_not_finite_or_not_rigid_are_invalid_rows_and_the_others_
 ):
     done = swept(methods, tmp_path / "odd", method="odd")
     assert done.returncode == 0 and "Traceback" not in done.stderr
-    assert "2 of 10 grasps" in done.stderr and "2 of 10 handover poses" in done.stderr
     found, right = (r.trials(r.methods[0]) for r in (load_run(tmp_path / "odd"), run))
     pairs = list(zip(found["outcome"].to_pylist(), right["outcome"].to_pylist(), strict=True))
     assert sum(a == "invalid_input" for a, _ in pairs) == 4
