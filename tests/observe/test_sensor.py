@@ -370,7 +370,7 @@ def test_masks_that_touch_each_other_and_the_border_shrink_and_grow_as_squares_s
         for kind in ("grown", "eroded"):
             errors = Errors(rig, noise=1.0, labels=kind, seed=0, device="cpu")
             found = errors.masked(torch.arange(3), torch.from_numpy(label.copy())).numpy()
-            for i, c in np.ndindex(3, 2):
+            for i, c in each(np.ndindex(3, 2)):
                 own, expected = label[i, c], label[i, c].copy()
                 for thing in (3, 4):  # the hand's mask lies above the object's
                     others = ~dilated(own != thing, px)
