@@ -709,14 +709,14 @@ HEAD = """# A method that learned
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
 bench/learn.py` measured {trials} trials of each split of r2h-v2, `--sim none` (bench/results/learn.json; commit {commit},
-load {load:g} at the start{older}).
+load {load:g} at the start).{older}
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {table}
 
-{former}{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them
-  too.
+{former}{turned}{seeds}- Learned takes the best of {first} random pairs. Second round: {second} more pairs near the best {top} of
+  these are ranked too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
 {received}{regions}{recipes}{views}{told}{generator}{policy}{drawing}## What it costs
@@ -753,7 +753,7 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 
 - Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
   yours.
-- Any of its 384 pairs: Learned takes one of these pairs. What it has less than this column is lost by the ranking.
+- Any of its 384 pairs: Learned takes one of these pairs. The ranking loses what Learned has less than this column.
 - A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
   takes a candidate.
 - A denser one holds: a candidate does, or one of about 100,000 proposed grasps. In the other trials the gripper finds nothing
@@ -762,28 +762,29 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 """
 RECIPES_WORDS = """## How the recipe was chosen
 
-Each recipe was trained without the categories of {folds} of the folds, and judged on new instances of these categories alone
-(seed 0; success of the pose stage in percent, mean of the folds; {own} trials a fold with the families' regions, {other} with
-regions at random). No object and no trial of the benchmark, and no mesh of the folder, was looked at. An item is 256 trials.
+Each recipe was trained without the categories of {folds} of the folds (seed 0). It was judged on new instances of these
+categories alone. The table has the success of the pose stage in percent, mean of the folds. A fold has {own} trials with the
+families' regions and {other} with regions at random. We looked at no object and no trial of the benchmark, and at no mesh of the
+folder. An item is 256 trials.
 
 {recipes}
 
 """
 VIEWS_WORDS = """## On what cameras see
 
-`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed, of {trials:,} trials
-with new instances ({export:.0f} CPU s to look and judge, {train:.0f} to learn). SR in percent of {of} trials a split of r2h-v2
-with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability / Plan / Reach /
-Affordance / Safe.
+`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed. The pairs are of
+{trials:,} trials with new instances. Looking and judging took {export:.0f} CPU s, and learning {train:.0f}. SR in percent of {of}
+trials a split of r2h-v2 with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability /
+Plan / Reach / Affordance / Safe.
 
 {table}
 
-Nobody was told the region here, so in S1 Affordance stops all of them.
+No method was told the region here, so in S1 each of them fails Affordance in many trials.
 
 """
-VIEWS_TOLD = """With `--sees cell-v1,region=told` the seen points of the receiver's region are told, as a part labeller
-with misplaced borders gives them ([what is seen](../observe.md)). `Learned from views` learned anew from such views:
-{pairs:,} pairs of {trained:,} trials. The table has {of} trials a split.
+VIEWS_TOLD = """With `--sees cell-v1,region=told` methods are told which of the seen points are of the receiver's region. A
+part labeller with misplaced borders gives these labels ([what is seen](../observe.md)). `Learned from views` learned anew from
+such views: {pairs:,} pairs of {trained:,} trials. The table has {of} trials a split.
 
 {table}
 
@@ -796,14 +797,15 @@ DECIDED = {1: "The first is better.", -1: "The second is better.", 0: "Which is 
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
-NOT_LESS = """People do not take what {first} hands over less often than what {second} does. More often is not decided: it is
-{net} trials more, and more transfers than that are undecided."""
+NOT_LESS = """People do not take what {first} hands over less often than what {second} hands over. Whether they take it more often
+is not decided: the difference is {net} trials, and more transfers than that are undecided."""
 RECEIVED = """## Can the person take it?
 
-Percent of the first {of} shipped rows of each split (motion simulated) whose object the receiver could take
-([reception](reception.md)) and took ([transfer](transfer.md), policy `load-share`, one person a trial), each also with success of
-the trial. Brackets: the 95 % interval for all categories. The last three lines are {first} less {second} on the same trials,
-in points. Their parentheses count the trials that only {first} has, and those that only {second} has.
+Percent of the first {of} shipped rows of each split (motion simulated). Received: the receiver could take the object
+([reception](reception.md)). Taken: the receiver took it ([transfer](transfer.md), policy `load-share`, one person a trial). Both
+columns stand again with success of the trial. Brackets: the 95 % interval for all categories. The last three lines are {first}
+less {second} on the same trials, in points. Their parentheses count the trials that only {first} has, and those that only
+{second} has.
 
 {table}
 
@@ -811,12 +813,14 @@ in points. Their parentheses count the trials that only {first} has, and those t
 {undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
 
 """
-POLICY_TIED = """PPO does not beat the servo: the interval of the difference in success holds 0."""
+POLICY_TIED = (
+    """These trials show no difference between PPO and the servo: the interval of the difference in success holds 0."""
+)
 POLICY = """## A policy beside its control
 
 `examples/learn_ppo.py` trains a network by PPO in closed loop ([how](../howto/reinforcement_learning.md)). It begins as the
-built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances, and both
-then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
+built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances. Then
+both played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
 
 {table}
 
@@ -858,12 +862,15 @@ SCANS = """- Own meshes: {} objects of a folder, modelled by hand: each whole (S
 
 
 def older_parts(data: Mapping[str, Any]) -> str:
-    """`; NAME, NAME of COMMIT` for the parts that were measured on other commits."""
+    """A table of the parts that were measured on other commits; empty if there are none."""
     names: dict[str, list[str]] = defaultdict(list)
     for name, commit in data.get("commits", {}).items():
         if commit != data["commit"] and has(data, name):
             names[commit[:12]].append(name)
-    return "".join(f";\n{', '.join(parts)} of commit {commit}" for commit, parts in names.items())
+    if not names:
+        return ""
+    lines = [[", ".join(parts), commit] for commit, parts in names.items()]
+    return "\n\n" + markdown_table(["part measured on another commit", "commit"], lines, left=True)
 
 
 def former_words(data: Mapping[str, Any]) -> str:

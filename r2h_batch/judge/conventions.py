@@ -151,12 +151,12 @@ def motion_hint(
     if not long:
         return None
     rows = torch.arange(ROWS, dtype=torch.int64, device=q.device)
-    unit, of_second = ("microseconds", 1e6) if median > 1000 * SLOW_S else ("milliseconds", 1e3)
+    word, of_second = ("microseconds", 1e6) if median > 1000 * SLOW_S else ("milliseconds", 1e3)
     found = judge(rows, q[rows], (time_s if time_s.ndim == 1 else time_s[rows]) / of_second)
     if not (found.passed.sum(1) >= scores.passed[rows].sum(1)).all():
         return None
     return (
-        f"the median motion lasts {median:.0f} s; with time_s read as {unit} it lasts {median / of_second:.1f} s and"
+        f"the median motion lasts {median:.0f} s; with time_s read as {word} it lasts {median / of_second:.1f} s and"
         f" {ROWS} of {ROWS} rows pass as many criteria: times are in seconds"
     )
 

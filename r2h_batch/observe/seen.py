@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng
+from r2h_batch.base.validate import check_arguments, integer, one_of
 
 LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso")
 """Things that a pixel can show, by its label."""
@@ -110,6 +111,7 @@ class Observation:
             known=known,
         )
 
+    @check_arguments(points=integer(0), label=one_of(*LABELS), seed=integer())
     def cloud(
         self, points: int = 2048, *, label: str = "object", seed: int = 0
     ) -> tuple[Float32[Tensor, "n p 3"], Bool[Tensor, "n p"]]:
@@ -125,6 +127,10 @@ class Observation:
 
         Returns:
             (N, P, 3) float32 in the world, m, 0 where masked; (N, P) whether there is a point.
+
+        Raises:
+            TypeError: an argument of another type.
+            ValueError: a number of points below 0, or no such label.
         """
         images = self.hand if label == "hand" else self.object
         mask, camera, v, u = self._drawn(images, points, label, seed)
@@ -142,6 +148,7 @@ class Observation:
         )
         return torch.where(mask[..., None], found, torch.zeros_like(found)), mask
 
+    @check_arguments(points=integer(0), seed=integer())
     def cloud_region(self, points: int = 2048, *, seed: int = 0) -> Bool[Tensor, "n p"]:
         """Whether each point of `cloud(points, seed=seed)` is in the receiver's region; False where masked.
 

@@ -276,6 +276,22 @@ def test_a_search_with_errors_knows_grasps_that_can_be_picked_and_comes_from_abo
     assert not np.array_equal(other.T_obj_ee[:, 0], found.T_obj_ee[:, 0])
 
 
+def test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side(monkeypatch):
+    some, known, asked = trials()[:3], known_moments(judge().scene), []
+    c, s = np.cos(1.1), np.sin(1.1)
+    tilted = rest()[:3] @ se3.from_rotation(torch.tensor([[1, 0, 0], [0, c, -s], [0, s, c]]).float(), torch.zeros(3))
+    real = robust.sample_grasps
+    monkeypatch.setattr(robust, "sample_grasps", lambda *a, **k: asked.append(k["along"]) or real(*a, **k))
+    tilted[:, 0, 3] += 5.0  # out of reach: no candidate can be picked
+    known.tell(some, tilted)
+    try:
+        robust.pickable(some, judge(), 0)
+    finally:
+        known.forget(some)
+    down = [T[:3, :3].double().numpy() @ along for T, along in zip(tilted, asked, strict=True)]
+    assert np.allclose(down, [0, 0, -1], atol=1e-6)
+
+
 def test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_spare_margins_first(monkeypatch):
     usable, asked = oracle.usable_grasps(judge()), []
 
