@@ -487,9 +487,9 @@ def work() -> Path:
 def forge_transfers(run: Path) -> None:
     """Transfers of a run as their reader takes them."""
     import pyarrow as pa
-    import pyarrow.parquet as pq
 
     from r2h_batch.report.transfers import MADE_OF
+    from r2h_batch.runs.side import side_writer
 
     stored = load_run(run)
     rows = stored.trials("random", ["trial_id", "outcome"]).to_pylist()
@@ -505,9 +505,9 @@ def forge_transfers(run: Path) -> None:
             "outcome": ["taken"] * n,
         }
     )
-    about = {MADE_OF: json.dumps({"rows": stored.digest("random")}).encode()}
-    (run / "transfer").mkdir(exist_ok=True)
-    pq.write_table(table.replace_schema_metadata(about), run / "transfer" / "random.parquet")
+    about = {MADE_OF: {"rows": stored.digest("random")}}
+    with side_writer(run / "transfer" / "random.parquet", table.schema, about) as writer:
+        writer.write(table)
 
 
 def of_run(name: str) -> Callable[[Path], object]:

@@ -65,7 +65,7 @@ Rows that are held, and rows that statics carry, of both methods, with other rad
 
 ## Transfers
 
-Outcomes of the oracle's {received} received rows in {cases}, and those that differ from the outcomes at the step h.
+Outcomes of the oracle's {received} received rows in {cases}. `differ`: outcomes that are not those of the step h.
 
 {transfers}
 

@@ -79,9 +79,10 @@ TRAININGS = {
 }
 SAME_WEIGHTS = ("one process", "two processes")
 VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
-VIEW_STEPS, VIEW_TRIALS, VIEW = 600, 40, "cell-v1"
-"""Steps on what cameras saw; trials of a split, and what is seen in them."""
-SEEING = {"Learned": "learned", "Learned from views": "learned,weights={}", "robust search": "robust"}
+VIEW_STEPS, VIEW_TRIALS, VIEW, VIEW_TOLD = 600, 40, "cell-v1", "cell-v1,region=told"
+"""Steps on what cameras saw; trials of a split; what is seen in them, and with the receiver's region told."""
+FROM_VIEWS = "Learned from views"
+SEEING = {"Learned": "learned", FROM_VIEWS: "learned,weights={}", "robust search": "robust"}
 LIMITS = {
     "learned": "Learned", "a pair": "any of its 384 pairs", "oracle": "oracle", "held": "a candidate holds",
     "denser": "a denser one holds",
@@ -355,6 +356,17 @@ def paired_over_categories(
     return {"points": 100 * over.value, "low": ends[0], "high": ends[1], "only first": first, "only second": second}
 
 
+def paired_on_trials(a: Sequence[bool], b: Sequence[bool]) -> dict[str, float]:
+    """Difference of two methods on the same trials, points, its 95 % interval for these objects, and how many trials only one
+    of them has."""
+    from r2h_batch.report.statistics.intervals import paired_score_interval
+
+    first, second = (sum(x and not y for x, y in zip(*own, strict=True)) for own in ((a, b), (b, a)))
+    low, high = paired_score_interval(first, second, len(a))
+    points = 100 * (first - second) / len(a)
+    return {"points": points, "low": 100 * low, "high": 100 * high, "only first": first, "only second": second}
+
+
 def generator(place: Path) -> dict[str, Any]:
     """The result of examples/train_generator.py as it is printed."""
     sys.path.insert(0, str(ROOT / "examples"))
@@ -583,39 +595,46 @@ class Bench:
         return {"recipes": found}
 
     def views(self) -> dict[str, Any]:
-        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, on what two posts
-        see."""
+        """The rankers and the robust search on what two posts see."""
+        return {"views": self.seeing("views", VIEW)}
+
+    def views_told(self) -> dict[str, Any]:
+        """Rankers and robust search where the seen points of the receiver's region are told."""
+        return {"views-told": self.seeing("views-told", VIEW_TOLD)}
+
+    def seeing(self, folder: str, sees: str) -> dict[str, Any]:
+        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, all with one sight.
+
+        Rows have SR of each split with its 95 % interval, and first failures of both. `paired`: Learned from views less each
+        other one on the same trials.
+        """
         from r2h_batch.learning.observe_command import export
         from r2h_batch.learning.rank import CHECKPOINT, LESSONS, SHIPPED, Recipe, train_on_views
         from r2h_batch.report.table import table_of
         from r2h_batch.runs.store import load_run
 
-        place = self.options.runs / "views"
+        options, place = self.options, self.options.runs / folder
+        sizes = VIEWS | {"shards": options.view_shards}
         start = time.process_time()
-        export(out=place / "shards", **VIEWS)
+        export(out=place / "shards", sees=sees, **sizes)
         exported = time.process_time() - start
         weights = train_on_views(place / "shards", Recipe(start=SHIPPED, steps=VIEW_STEPS), place / "rank")
         spent = torch.load(place / "rank" / CHECKPOINT, weights_only=True)["spent"]
         lessons = torch.load(place / "rank" / LESSONS.format(0), weights_only=True)["truth"]
-        found: dict[str, Any] = {"spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {}}
+        found: dict[str, Any] = {
+            "spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {},
+            "trained trials": sizes["shards"] * sizes["trials"], "trials": options.view_trials,
+        }  # fmt: skip
+        won: dict[str, list[bool]] = {}
         for name, text in SEEING.items():
-            method = text.format(weights.absolute())
             words = (
-                "--method",
-                method,
-                "--sees",
-                VIEW,
-                "--sim",
-                "none",
-                "--trials",
-                VIEW_TRIALS,
-                "--threads",
-                1,
-                "--quiet",
+                *("--method", text.format(weights.absolute()), "--sees", sees, "--sim", "none"),
+                *("--trials", options.view_trials, "--threads", 1, "--quiet"),
             )
             run = load_run(swept(place / name.replace(" ", "-"), *words))
             (title,) = run.methods
-            outcomes = Counter(run.trials(title)["outcome"].to_pylist())
+            outcome = run.trials(title)["outcome"].to_pylist()
+            won[name], outcomes = [o == "success" for o in outcome], Counter(outcome)
             told: dict[str, Any] = {"failed": {c: outcomes[c] for c in CAUSES}}
             for line in table_of(run).rows:
                 if line.split != "Avg":
@@ -624,7 +643,8 @@ class Bench:
                     told[line.split] = [sr.percent, sr.low, sr.high]
             found["rows"][name] = told
             print(name, told, flush=True)
-        return {"views": found}
+        found["paired"] = {name: paired_on_trials(won[FROM_VIEWS], won[name]) for name in SEEING if name != FROM_VIEWS}
+        return found
 
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
@@ -664,7 +684,7 @@ class Bench:
 
 
 PARTS = (
-    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "costs"),
+    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "views-told", "costs"),
     *("turned", "received", "generator", "policy", "memory", "drawing"),
 )
 
@@ -676,7 +696,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
     commits = found.get("commits", {name: found.get("commit") for name in PARTS})
     for name in options.parts:
-        told = getattr(bench, name)()
+        told = getattr(bench, name.replace("-", "_"))()
         found |= told
         commits |= {name: made["commit"]} if told else {}
         print(name, "measured", flush=True)
@@ -689,17 +709,17 @@ HEAD = """# A method that learned
 ([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
 none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
 bench/learn.py` measured {trials} trials of each split of r2h-v2, `--sim none` (bench/results/learn.json; commit {commit},
-load {load:g} at the start{older}).
+load {load:g} at the start).{older}
 
 SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
 {table}
 
-{former}{turned}{seeds}- Of {first} random pairs the best is taken. Second round: of {second} more near the best {top} of them
-  too.
+{former}{turned}{seeds}- Learned takes the best of {first} random pairs. Second round: {second} more pairs near the best {top} of
+  these are ranked too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{recipes}{views}{generator}{policy}{drawing}## What it costs
+{received}{regions}{recipes}{views}{told}{generator}{policy}{drawing}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -733,7 +753,7 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 
 - Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
   yours.
-- Any of its 384 pairs: Learned takes one of these pairs. What it has less than this column is lost by the ranking.
+- Any of its 384 pairs: Learned takes one of these pairs. The ranking loses what Learned has less than this column.
 - A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
   takes a candidate.
 - A denser one holds: a candidate does, or one of about 100,000 proposed grasps. In the other trials the gripper finds nothing
@@ -742,36 +762,50 @@ that ships did not see these {count} instances. Percent of trials, judged by the
 """
 RECIPES_WORDS = """## How the recipe was chosen
 
-Each recipe was trained without the categories of {folds} of the folds, and judged on new instances of these categories alone
-(seed 0; success of the pose stage in percent, mean of the folds; {own} trials a fold with the families' regions, {other} with
-regions at random). No object and no trial of the benchmark, and no mesh of the folder, was looked at. An item is 256 trials.
+Each recipe was trained without the categories of {folds} of the folds (seed 0). It was judged on new instances of these
+categories alone. The table has the success of the pose stage in percent, mean of the folds. A fold has {own} trials with the
+families' regions and {other} with regions at random. We looked at no object and no trial of the benchmark, and at no mesh of the
+folder. An item is 256 trials.
 
 {recipes}
 
 """
 VIEWS_WORDS = """## On what cameras see
 
-`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed, of {trials:,} trials
-with new instances ({export:.0f} CPU s to look and judge, {train:.0f} to learn). SR in percent of {of} trials a split of r2h-v2
-with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability / Plan / Reach /
-Affordance / Safe.
+`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed. The pairs are of
+{trials:,} trials with new instances. Looking and judging took {export:.0f} CPU s, and learning {train:.0f}. SR in percent of {of}
+trials a split of r2h-v2 with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability /
+Plan / Reach / Affordance / Safe.
 
 {table}
 
-Nobody was told the region here (`region=told` tells it), so in S1 Affordance stops all of them.
+No method was told the region here, so in S1 each of them fails Affordance in many trials.
 
 """
+VIEWS_TOLD = """With `--sees cell-v1,region=told` methods are told which of the seen points are of the receiver's region. A
+part labeller with misplaced borders gives these labels ([what is seen](../observe.md)). `Learned from views` learned anew from
+such views: {pairs:,} pairs of {trained:,} trials. The table has {of} trials a split.
+
+{table}
+
+{differences}
+
+"""
+VIEWS_LESS = """- {first} less {second}, both splits: {points:+.1f} points [{low:+.1f}, {high:+.1f}] (95 % interval for these
+  objects). Only the first succeeds in {only first} trials, only the second in {only second}. {answer}"""
+DECIDED = {1: "The first is better.", -1: "The second is better.", 0: "Which is better is not decided."}
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
-NOT_LESS = """People do not take what {first} hands over less often than what {second} does. More often is not decided: it is
-{net} trials more, and more transfers than that are undecided."""
+NOT_LESS = """People do not take what {first} hands over less often than what {second} hands over. Whether they take it more often
+is not decided: the difference is {net} trials, and more transfers than that are undecided."""
 RECEIVED = """## Can the person take it?
 
-Percent of the first {of} shipped rows of each split (motion simulated) whose object the receiver could take
-([reception](reception.md)) and took ([transfer](transfer.md), policy `load-share`, one person a trial), each also with success of
-the trial. Brackets: the 95 % interval for all categories. The last three lines are {first} less {second} on the same trials,
-in points. Their parentheses count the trials that only {first} has, and those that only {second} has.
+Percent of the first {of} shipped rows of each split (motion simulated). Received: the receiver could take the object
+([reception](reception.md)). Taken: the receiver took it ([transfer](transfer.md), policy `load-share`, one person a trial). Both
+columns stand again with success of the trial. Brackets: the 95 % interval for all categories. The last three lines are {first}
+less {second} on the same trials, in points. Their parentheses count the trials that only {first} has, and those that only
+{second} has.
 
 {table}
 
@@ -779,12 +813,14 @@ in points. Their parentheses count the trials that only {first} has, and those t
 {undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
 
 """
-POLICY_TIED = """PPO does not beat the servo: the interval of the difference in success holds 0."""
+POLICY_TIED = (
+    """These trials show no difference between PPO and the servo: the interval of the difference in success holds 0."""
+)
 POLICY = """## A policy beside its control
 
 `examples/learn_ppo.py` trains a network by PPO in closed loop ([how](../howto/reinforcement_learning.md)). It begins as the
-built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances, and both
-then played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
+built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances. Then
+both played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
 
 {table}
 
@@ -826,12 +862,15 @@ SCANS = """- Own meshes: {} objects of a folder, modelled by hand: each whole (S
 
 
 def older_parts(data: Mapping[str, Any]) -> str:
-    """`; NAME, NAME of COMMIT` for the parts that were measured on other commits."""
+    """A table of the parts that were measured on other commits; empty if there are none."""
     names: dict[str, list[str]] = defaultdict(list)
     for name, commit in data.get("commits", {}).items():
         if commit != data["commit"] and has(data, name):
             names[commit[:12]].append(name)
-    return "".join(f";\n{', '.join(parts)} of commit {commit}" for commit, parts in names.items())
+    if not names:
+        return ""
+    lines = [[", ".join(parts), commit] for commit, parts in names.items()]
+    return "\n\n" + markdown_table(["part measured on another commit", "commit"], lines, left=True)
 
 
 def former_words(data: Mapping[str, Any]) -> str:
@@ -932,16 +971,37 @@ def recipes_words(found: Mapping[str, Any]) -> str:
     )  # fmt: skip
 
 
-def views_words(own: Mapping[str, Any]) -> str:
-    """The section on rankers that see."""
+def views_table(own: Mapping[str, Any]) -> str:
+    """SR of the splits and first failures of rankers that see."""
     rows = []
     for name, told in own["rows"].items():
         sr = ["{:.1f} ({:.1f}-{:.1f})".format(*told[s]) for s in ("S0", "S1")]
         rows.append([name, *sr, "/".join(str(x) for x in told["failed"].values())])
+    return markdown_table(["", "S0", "S1", "first failures"], rows)
+
+
+def trained_trials(own: Mapping[str, Any]) -> int:
+    """Seen trials that a ranker learned from; earlier measurements do not store the default number."""
+    return int(own.get("trained trials", VIEWS["shards"] * VIEWS["trials"]))
+
+
+def views_words(own: Mapping[str, Any]) -> str:
+    """The section on rankers that see."""
     return VIEWS_WORDS.format(
-        pairs=own["pairs"], trials=VIEWS["shards"] * VIEWS["trials"], export=own["spent"]["export"],
-        train=own["spent"]["labels"] + own["spent"]["train"], of=VIEW_TRIALS,
-        table=markdown_table(["", "S0", "S1", "first failures"], rows),
+        pairs=own["pairs"], trials=trained_trials(own), export=own["spent"]["export"],
+        train=own["spent"]["labels"] + own["spent"]["train"], of=own.get("trials", VIEW_TRIALS), table=views_table(own),
+    )  # fmt: skip
+
+
+def views_told_words(own: Mapping[str, Any]) -> str:
+    """The table and words of rankers that see with the region told."""
+    lines = []
+    for name, less in own["paired"].items():
+        better = 1 if less["low"] > 0 else -1 if less["high"] < 0 else 0
+        lines.append(VIEWS_LESS.format(first=FROM_VIEWS, second=name, answer=DECIDED[better], **less))
+    return VIEWS_TOLD.format(
+        pairs=own["pairs"], trained=trained_trials(own), of=own.get("trials", VIEW_TRIALS), table=views_table(own),
+        differences="\n".join(lines),
     )  # fmt: skip
 
 
@@ -1011,6 +1071,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         regions=regions_words(data["regions"]) if "regions" in data else "",
         recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
         views=views_words(data["views"]) if "views" in data else "",
+        told=views_told_words(data["views-told"]) if "views-told" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
         policy=policy_words(data["policy"]) if "policy" in data else "",
@@ -1031,6 +1092,13 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
     parser.add_argument("--received", type=int, default=500, help="of each split, whose objects receivers try to take")
+    parser.add_argument("--view-trials", type=int, default=VIEW_TRIALS, help="of each split, of methods that see")
+    parser.add_argument(
+        "--view-shards",
+        type=int,
+        default=VIEWS["shards"],
+        help="shards of 60 trials that a ranker that sees learns from",
+    )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")

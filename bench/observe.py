@@ -28,11 +28,12 @@ NAMES = {
 
 HEAD = """# Depth cameras: speed, and agreement with other renderers
 
-`python bench/observe.py` drew {trials} trials of r2h-v2 with four programs on the same meshes: the robot at home, the trial's
-object at the [moment](../observe.md#the-moment), hand, arm, torso and table. Whole images of cell-v1's left post, 58 degrees
-(bench/results/observe.json; commit {commit}, load {load:g} at the start, one run of each). Process seconds of one core; the
-meshes are made before the clock starts. The package draws table and robot once for a rig's cameras and keeps them, before the
-clock starts too; the others draw everything in each image. MuJoCo C's rays and OpenGL drew {few} of the trials.
+`python bench/observe.py` drew {trials} trials of r2h-v2 with four programs on the same meshes. The meshes are the robot at
+home, the trial's object at the [moment](../observe.md#the-moment), hand, arm, torso and table. Whole images of cell-v1's left
+post, 58 degrees (bench/results/observe.json; commit {commit}, load {load:g} at the start, one run of each). Process seconds of
+one core; the meshes are made before the clock starts. The package draws table and robot once for a rig's cameras and keeps them.
+This happens before the clock starts too. The others draw everything in each image. MuJoCo C's rays and OpenGL drew {few} of the
+trials.
 
 {speed}
 
@@ -40,10 +41,10 @@ Against the package's rays: pixels with another label, and the difference of dep
 
 {agreement}
 
-Seen trials, each with windows of {seen_px} pixels about object and hand from two posts,
-the sensor's errors, moments and clouds of 2,048 points: {seen:.0f} a second and core. Moments take {moment:.1f} ms a
-trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more, clouds
-{cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
+A seen trial has windows of {seen_px} pixels about object and hand from two posts,
+with the sensor's errors, its moment and a cloud of 2,048 points. One core makes {seen:.0f} of them a second. Moments take
+{moment:.1f} ms a trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more,
+clouds {cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
 {small}"""
 
 

@@ -347,9 +347,9 @@ Losses of the oracle, the upper bound: {losses}.
 
 ## Reception
 
-Percent of trials whose receiver can take the object ([reception](../receivers.md#reception)), and of those that are a success
-too; {received_n} trials of {received_objects} for each hand. The people's hand has its own 256 held-out grasps a side, in the
-adults' mean shape.
+Percent of trials, {received_n} of {received_objects} for each hand. Received: the receiver can take the object
+([reception](../receivers.md#reception)). And success: the trial is a success too. The people's hand has its own 256 held-out
+grasps a side, in the adults' mean shape.
 
 {reception}
 
@@ -361,10 +361,11 @@ Plans that fail more, of {hands_n} trials:
 
 {causes}
 
-So the thumb explains most of it: where it rests palmwards, as Anny has it, it stands in the way of the object. This package turns
-it to the stand-in's rest and keeps the stand-in's joint angles. Size is left: gripper and object meet larger hands more often.
-Proportions, which move the palm's point that the method hands to, cost nothing that these trials show. Only the thumb's
-share and the whole are beyond chance of so few trials (95 %). Failures of Handover-VA's plans, by what collides at start or goal:
+So the thumb explains most of the loss. Anny's thumb rests palmwards, where it stands in the way of the object. This package
+turns the thumb to the stand-in's rest and keeps the stand-in's joint angles. The size of the hand remains: gripper and object
+meet larger hands more often. The proportions move the point of the palm that the method hands to. These trials show no cost of
+them. Only the thumb's share and the whole loss are more than chance explains in so few trials (95 %). Failures of Handover-VA's
+plans, by what collides at start or goal:
 
 {hands}
 
@@ -393,8 +394,8 @@ the months of these years, as our ages are uniform. No published table of the ot
 ## What the shapes hold
 
 Capsules and box hold the skin of a person but for a few percent. `outside`: how far the rest stands out. `overshoot`: from
-the shape's surface to the nearest vertex of the body. So Safe and the planner keep clear of the share `held` of a part's skin:
-the rest can be grazed by a path that passes, by as much as `outside` says.
+the shape's surface to the nearest vertex of the body. So Safe and the planner keep clear of the share `held` of a part's skin.
+A path that passes can graze the rest, by as much as `outside` says.
 
 {shapes}
 

@@ -32,15 +32,15 @@ SURE = 0.05
 HEAD = """# Persons: which orders of release policies survive
 
 See what the numbers of the [simulated person](../transfer.md#people-who-feel-weight) decide. Stiffness, grip, pull, pause and
-load time are inputs. An order of two policies that another range turns around is an input too.
-`python bench/persons.py --instances {instances} --rows {rows}` took the oracle's first {rows} received trials of r2h-v2 with
-{objects} of its {among} objects, one person each, people of every size (bench/results/persons.json, commit {commit}; load of the
-machine at the start {load}).
+load time are inputs. If another range reverses the order of two policies, this order is an input too.
+`python bench/persons.py --instances {instances} --rows {rows}` took the oracle's first {rows} received trials of r2h-v2, with
+{objects} of its {among} objects. Each trial has one person, and people have every size (bench/results/persons.json, commit
+{commit}; load of the machine at the start {load}).
 
 ## Ranges halved and doubled
 
-One range at a time. A cell has the percent taken, the median of the largest pull (N) and the median of the time until the
-gripper is free (s), of the taken trials.
+One range at a time. A cell has three numbers: the percent taken, the median of the largest pull (N), and the median of the time
+until the gripper is free (s). Both medians are of the taken trials.
 
 {ranges}
 
@@ -156,18 +156,19 @@ def ranges_text(found: dict[str, Any]) -> str:
 
 
 def orders_text(found: dict[str, Any]) -> str:
-    """Which orders of two policies hold in every setting."""
+    """Which orders of two policies hold in every setting, and how many hold in some settings alone."""
     settings, lines = len(found["settings"]), []
     said = {"taken": "takes more than", "pull_n": "is pulled less than", "transfer_s": "is faster than"}
     for number, words in said.items():
         held, once = found["orders"][number], found["once"][number]
-        pairs = ", ".join(f"`{a}` {words} `{b}`" for a, b in (p.split("|") for p in held))
-        lines.append(
-            f"- {pairs or f'no policy {words} another one'} in all {settings} settings; {len(once) - len(held)} further"
-            " such orders hold in some of them alone, and we do not claim them."
-        )
-    head = f"Orders of two policies over the same trials (sign test, p < {SURE:g} in each setting):"
-    return head + "\n\n" + "\n".join(lines)
+        pairs = "; ".join(f"`{a}` {words} `{b}`" for a, b in (p.split("|") for p in held))
+        lines.append([words, pairs or "none", len(once) - len(held)])
+    head = (
+        f"Orders of two policies over the same trials (sign test, p < {SURE:g} in each setting). We do not claim the orders\n"
+        "that hold in some settings alone."
+    )
+    table = markdown_table(["a policy", f"orders in all {settings} settings", "orders in some alone"], lines, left=True)
+    return f"{head}\n\n{table}"
 
 
 def markdown(data: dict[str, Any]) -> str:

@@ -29,8 +29,10 @@ MEASURES = (
 TIMED = 512
 CHECKED_FROM, CHECKED = 100, 10
 """Rows of each method that other code judges again: this many from this one on."""
-WHY_VA = """its grasps come from above, but with the pads about the middle of a thin thing the fingertips would have to reach into
-the table. By category, percent picked:"""
+WHY_VA = """Its grasps come
+from above. But with the pads about the middle of a thin thing the fingertips would have to reach into the table.
+
+By category, percent picked:"""
 
 HEAD = """# Picking from the table: results
 
@@ -44,7 +46,7 @@ Percent of the trials. A grasp that fails counts once, in the stage that fails f
 
 **No built-in method looks at the table.** FC, Contact, Intent and the oracle choose grasps from all sides, and the table
 forbids most of them. Handover-VA grasps from above. Own code (NumPy, float64) put the corners of the open gripper where the
-grasp is and asked how far the lowest is below the table's top; the way in plays no part here:
+grasp is. It measured how far the lowest corner is below the table's top. The way in plays no part here:
 
 {below}
 
@@ -57,24 +59,24 @@ several meet, it is one of them.
 
 {met}
 
-A trial that must be picked before it is handed over succeeds where both do:
+If a trial must be picked before it is handed over, it succeeds where picking and handover both succeed:
 
 {joint}
 
 ## Cost
 
-{timed} rows of each method, process milliseconds of one core a row: drawing the moment {moment:.1f}, Pick {pick:.1f}; a
-kinematic trial (`--sim none`, all stages) takes {trial:.1f} on the same rows. Pick costs {ratio:.2f} times that (asked: with
-the carry at most 2). The ways in and up leave the straight line by at most {off_um:.0f} um in the rows that are picked (median
-{off_median_um:.1f} um).
+Process milliseconds of one core a row, on {timed} rows of each method: drawing the moment takes {moment:.1f}, and Pick
+{pick:.1f}. A kinematic trial (`--sim none`, all stages) takes {trial:.1f} on the same rows. Pick costs {ratio:.2f} times that
+(asked: with the carry at most 2). The ways in and up leave the straight line by at most {off_um:.0f} um in the rows that are
+picked (median {off_median_um:.1f} um).
 
 ## Checked by other code
 
 Other code judged {checked} of these rows again in float64 (`tests/support/pick_twin.py`: MuJoCo C for convex bodies with own
 fingers and hulls, NumPy for the object's surface, ways sampled every millimetre): {wrong} wrong{words}. {passing} of them pass.
-It confirms every stage of those, the one that fails of the others, and for a gripper that meets table or person that no other
-branch helps. A verdict within 0.2 mm of the border may differ; a margin may be below the samples by 0.1 mm or a tenth, and
-above them by a sample's step.
+For these it confirms every stage, and for the others the stage that fails. For a gripper that meets table or person it also
+confirms that no other branch helps. A verdict within 0.2 mm of the border may differ. A margin may be below that of the samples
+by 0.1 mm or a tenth, and above it by a sample's step.
 """
 
 
@@ -211,7 +213,7 @@ def markdown(data: Any) -> str:
     ]
     above = next(m["below"]["0"] / m["n"] for k, m in methods.items() if "VA" in short[k])
     low, high = 100 * min(sided), 100 * max(sided)
-    verdict = f"Here they are {low:.0f} to {high:.0f} %, and {100 * above:.0f} % for Handover-VA: {WHY_VA}"
+    verdict = f"Here they are {low:.0f} to {high:.0f} %, and {100 * above:.0f} % for Handover-VA. {WHY_VA}"
     rows_of = {c: sum(x == c for x in data["category_of_rows"]) for c in data["category_of_rows"]}
     by_category = [
         [c.replace("_", " "), *(share(m["categories"][c], rows_of[c]) for m in methods.values())]

@@ -78,7 +78,10 @@ SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at
 succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
 
 Where it is not told, no method that sees knows the receiver's region (S1), the searches included: images show no parts. So in S1
-Affordance is what stops the searches ([causes](#causes)). With a model known the region is not known either. Nor do the methods
+Affordance is what stops the searches ([causes](#causes)). FC and Contact keep the gripper off a hand that they expect on the
+object, and Contact off the places that people touch. Both stand in for the region: of {trials} trials of S1 with two posts
+Affordance stops {contact} of Contact and {fc} of FC. The robust search and Learned do not look for where people take an object,
+so it stops {robust} and {learned} of theirs. With a model known the region is not known either. Nor do the methods
 know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge all of the person.
 
 {told}## Causes
@@ -299,6 +302,10 @@ def markdown(data: Mapping[str, Any]) -> str:
         table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
         categories=categories,
         told=told,
+        **{
+            field: shown[HIDDEN][name]["causes"]["affordance"]  # S0 has no region, and no such failure
+            for field, name in (("contact", "Contact"), ("fc", "FC"), ("robust", "robust search"), ("learned", "Learned"))
+        },
         causes=" / ".join(CAUSES),
         failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
         picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),

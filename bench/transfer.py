@@ -109,7 +109,7 @@ simulated {trials} trials of each split of r2h-v2 with one person each: {objects
 ## From success to taken
 
 Percent of all trials, with the default policy `load-share`. `taken and success`: the verdict of the sweep holds too. `undecided`:
-percent of the received trials whose end hangs on less than the model knows ([definition](../transfer.md#outcomes)).
+percent of the received trials whose end is within the model's uncertainty ([definition](../transfer.md#outcomes)).
 
 {funnel}
 
@@ -127,7 +127,7 @@ The same by the weight of the object. Heavier objects [take people longer](../tr
 ## Policies
 
 Percent of the first {rows} received trials of each method. Brackets: 95 % (Wilson) over trials, each with a person of its
-own. `kept`: under a mere touch. `?`: percent of the trials to the left of it that are undecided. Pulls and times, and what
+own. `kept`: under a mere touch. `?`: how many percent of the trials of the column before are undecided. Pulls and times, and what
 remains of their order, stand with [other persons](persons.md).
 
 {policies}
@@ -147,8 +147,9 @@ about pain or safety: nothing strikes the hand, and it has no skin.
 
 ## Physically stable
 
-Percent of the grasps past Stability that hold in physics (`results held`: after closing, and under the weight for 1 s), of one in
-ten trials of each split. `undecided`: too near a limit to say. `statics`: friction balances the weight on the settled posture.
+Percent of the grasps past Stability that hold in the simulation of `results held`: after closing, and under the weight for 1 s.
+They are those of one in ten trials of each split. `undecided`: too near a limit to say. `statics`: friction balances the weight
+on the settled posture.
 
 {held}
 
@@ -168,7 +169,7 @@ these, the ones that the mark [undecided](../transfer.md#outcomes) misses at the
 Of {stepped} transfers, a half or a quarter of the step changes {steps_changed}. Of these, {steps_missed} {are} not
 marked{steps_which}.
 An object that slides under the finger may stick to the pads in another place: the finger and the wrist then feel another force.
-Marked are, of all, {steps_marked}.
+Share of all transfers that are marked, by policy and scenario: {steps_marked}.
 
 ## Sensitivity
 
@@ -187,8 +188,9 @@ Shares of the weight over time. Times are inputs, not validated: we chose how fa
 
 ## Cost
 
-A transfer takes {ms:.0f} ms of one core (process time, policies and scenarios as above, with the closing of the gripper shared;
-load of the machine at the start {load}). {halved}A grasp of `results held` takes {held_ms:.0f} ms. {memory}
+A transfer takes {ms:.0f} ms of one core: process time, with policies and scenarios as above. Transfers of a row share the closing
+of the gripper. The load of the machine at the start was {load}. {halved}A grasp of `results held` takes {held_ms:.0f} ms.
+{memory}
 """
 
 

@@ -25,8 +25,8 @@ def believed_pairs(
 ) -> dict[str, Tensor]:
     """An item as `Pairs` describes it, of the trials in which there is something to take hold of.
 
-    Frame obj is that of the believed object. Nothing is known of parts and regions. Verdicts are those of the true object
-    and person.
+    Frame obj is that of the believed object. Nothing is known of parts, and of regions what `seen` was told. Verdicts
+    are those of the true object and person.
 
     Args:
         pairs: whose trials they are.

@@ -9,7 +9,7 @@ from typing import TypeVar
 from r2h_batch.config import EvalConfig
 from r2h_batch.learning.ahead import Ahead
 from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.family_objects import PREFIX, Planned, family_objects, planned_objects
+from r2h_batch.protocols.family_objects import Planned, family_objects, planned_objects
 from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     INSTANCE_NAMES,
@@ -92,7 +92,7 @@ def sources(
         kept, left_out = split(training_objects(benchmark, families), leave_out)
         made = [Source(benchmark, ((),), None, own, regions) for own in (kept, left_out) if own]
         return made[0], made[1] if left_out else None
-    planned = planned_objects(PREFIX + families.removeprefix(PREFIX))
+    planned = planned_objects(families, "families")
     if renewed:
         planned = tuple(sorted(planned, key=lambda p: p.index))
     kept_ones, others = split(planned, leave_out)
@@ -123,7 +123,7 @@ def training_objects(benchmark: Benchmark, families: str | Sequence[ObjectModel]
         ValueError: an object is one of the benchmark or a shipped one.
     """
     if isinstance(families, str):
-        found = family_objects(PREFIX + families.removeprefix(PREFIX))
+        found = family_objects(families, "families")
     else:
         found = checked_objects(families)
     if not found:

@@ -374,6 +374,10 @@ def begun(start: str) -> Ranker:
     Raises:
         FileError: the file is missing, or its network learned other criteria.
     """
+    if start != SHIPPED and not Path(start).is_file():
+        raise FileError(
+            f"{start}: no such file; give rank.safetensors of another training, or {SHIPPED}"
+        )
     with weights_file("" if start == SHIPPED else start) as path:
         net = read_weights(path)
     if net.criteria not in (CRITERIA, UNNAMED):

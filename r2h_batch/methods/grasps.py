@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import torch
 import warp as wp
+from jaxtyping import Float64
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
@@ -342,10 +343,17 @@ COUNT = 100
 ROUNDS = 8
 ENOUGH = 1200
 GENERATED_CONTACT = 0.1
+ALONG = 0.5
+"""Cosine of 60 degrees."""
 
 
 def sample_grasps(
-    model: ObjectModel, robot: Robot | None = None, *, count: int = COUNT, enough: int = ENOUGH
+    model: ObjectModel,
+    robot: Robot | None = None,
+    *,
+    count: int = COUNT,
+    enough: int = ENOUGH,
+    along: Float64[np.ndarray, "3"] | None = None,
 ) -> Candidates:
     """Up to `count` grasps of an object: the same object and name, the same grasps. Raises if it
     has none.
@@ -359,6 +367,8 @@ def sample_grasps(
     keeps the open gripper 1 mm off the object, and closed touches it with the pads (1 mm for the
     shapes' overshoot). At least 40 % of an S1 object's keep 1 mm from the receiver's region, if
     that many were found.
+
+    `along` (frame obj): only grasps that approach within 60 degrees of this direction, a unit vector.
     """
     robot = carrier(robot)
     tables = grasp_tables([model], robot)
@@ -366,6 +376,8 @@ def sample_grasps(
 
     def found_of(rng: np.random.Generator) -> Candidates:
         proposed = proposals(model, mesh, rng, robot)[0]
+        if along is not None:
+            proposed = proposed[(proposed[:, :3, 2] * along).sum(1) >= ALONG]
         return graded(model, tables, mesh, proposed, robot)[0]
 
     def suffices(pool: Candidates) -> bool:
@@ -373,7 +385,9 @@ def sample_grasps(
         some = model.split == "S0" or off_region >= enough // 4
         return len(pool) >= enough and (some or len(pool) >= 3 * enough)
 
-    every = _pool(model, found_of, suffices)
+    # proposals of their own: the object's candidates may be known already
+    stream = model.name if along is None else f"{model.name} along"
+    every = _pool(stream, found_of, suffices)
     if len(every) == 0:
         stroke = f"{1e3 * robot.open_gap_m:.0f} mm"
         raise NoGraspError(
@@ -417,7 +431,7 @@ def generate_grasps(
         columns = T[rows], width[rows], score[rows], part[rows].astype(np.uint8)
         return Candidates(*columns, region.astype(np.float32))
 
-    every = _pool(model, found_of, lambda pool: len(pool) >= ENOUGH)
+    every = _pool(model.name, found_of, lambda pool: len(pool) >= ENOUGH)
     if len(every) == 0:
         raise NoGraspError(
             f"{model.name}: the gripper of {robot.name} fits about no antipodal pair"
@@ -426,13 +440,13 @@ def generate_grasps(
 
 
 def _pool(
-    model: ObjectModel,
+    stream: str,
     found_of: Callable[[np.random.Generator], Candidates],
     suffices: Callable[[Candidates], bool],
 ) -> Candidates:
-    """Grasps from rounds of proposals until they suffice; the object's name and the round's number
-    seed each round."""
-    key = int.from_bytes(hashlib.sha256(model.name.encode()).digest()[:8], "little")
+    """Grasps from rounds of proposals until they suffice; `stream` (the object's name) and the round's
+    number seed each round."""
+    key = int.from_bytes(hashlib.sha256(stream.encode()).digest()[:8], "little")
     rounds: list[Candidates] = []
     with threadpool_limits(1, user_api="blas"), one_torch_thread("cpu"):
         for turn in range(ROUNDS):

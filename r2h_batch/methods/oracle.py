@@ -8,7 +8,7 @@ first, proposals are grasps that the arm can pick (`methods.from_table`).
 """
 
 from functools import lru_cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
@@ -144,19 +144,25 @@ class Fan:
         trials: B trials.
         evaluator: of their scene.
         seed: of the random points.
+        picked: grasps that the arm can pick from the table; None: those of the first `TURNS` that are drawn, where the
+            benchmark asks for Pick.
     """
 
-    def __init__(self, trials: Trials, evaluator: Evaluator, seed: int) -> None:
+    def __init__(
+        self, trials: Trials, evaluator: Evaluator, seed: int, picked: PickedGrasps | None = None
+    ) -> None:
         self._object = trials.object_index.cpu().numpy().astype(np.int64)
-        self._grasps, self._first, self._count, self._free = _usable_grasps(evaluator)
+        usable = usable_grasps(evaluator)
+        self._grasps, self._first, self._count = usable.T_obj_ee, usable.first, usable.spare
+        self._free = usable.free
         _, normal, center = evaluator.scene.palm(trials.hand_index, trials.T_world_hand)
         self._normal, self._center = (x.cpu().numpy().astype(np.float64) for x in (normal, center))
         out = self._center * [1.0, 1.0, 0.0]
         self._outwards = out / np.sqrt(out[:, 0] ** 2 + out[:, 1] ** 2)[:, None]
         key = rng.key_of(f"oracle {seed}")
         self._start = rng.uniforms(key, trials.trial_id.cpu().numpy(), len(_STEPS), purpose=_FAN)
-        self._picked: PickedGrasps | None = None
-        if "pick" in evaluator.benchmark.asks:
+        self._picked = picked
+        if picked is None and "pick" in evaluator.benchmark.asks:
             self._picked = picked_grasps(
                 evaluator.scene,
                 trials,
@@ -200,21 +206,61 @@ class Fan:
         return grasp, pose
 
 
-@lru_cache(maxsize=1)
-def _usable_grasps(
-    evaluator: Evaluator,
-) -> tuple[NDArray[np.float32], NDArray[np.int64], NDArray[np.int64], Array]:
-    """Candidates that pass Stability and Affordance with a margin: all (K, 4, 4), each object's
-    first row and number.
+class Usable(NamedTuple):
+    """Grasps of K objects that pass Stability and Affordance; of an object of which none does, all.
 
-    Without such candidates, those that pass; without those, all. Last: each object's free point
-    (frame obj).
+    Attributes:
+        T_obj_ee: (R, 4, 4), one object after the other; of each first those that pass with a margin.
+        first: (K,) each object's first row.
+        spare: (K,) how many of its rows have that margin; where none has, all.
+        number: (K,) its rows.
+        free: (K, 3) each object's free point (frame obj).
+    """
+
+    T_obj_ee: NDArray[np.float32]
+    first: NDArray[np.int64]
+    spare: NDArray[np.int64]
+    number: NDArray[np.int64]
+    free: Array
+
+
+@lru_cache(maxsize=1)
+def usable_grasps(evaluator: Evaluator) -> Usable:
+    """Candidates that pass, of the evaluator's objects.
+
+    Args:
+        evaluator: of a scene with candidates.
+    """
+    scene = evaluator.scene
+    grasps, first, count = stacked(candidates_in(scene))
+    of_object = np.repeat(np.arange(len(count)), count).astype(np.int32)
+    spare_m = spare_margins(evaluator, grasps, of_object)
+    kept, spare = [], []
+    for i in range(len(count)):
+        rows, some = usable_first(spare_m[first[i] : first[i] + count[i]])
+        kept.append(first[i] + rows)
+        spare.append(some)
+    number = np.array([len(k) for k in kept], np.int64)
+    # the centre of the receiver's region, else of the surface, is held out to the hand
+    regions = (o.receiver_face[o.point_face] for o in scene.objects)
+    held_out = (o.points[r] if r.any() else o.points for o, r in zip(scene.objects, regions))
+    free = np.stack([points.astype(np.float64).mean(0) for points in held_out])
+    rows = np.cumsum(number) - number
+    return Usable(grasps[np.concatenate(kept)], rows, np.array(spare, np.int64), number, free)
+
+
+def spare_margins(
+    evaluator: Evaluator, T_obj_ee: NDArray[np.float32], of_object: NDArray[np.int32]
+) -> NDArray[np.float32]:
+    """(n,) the smaller one of the margins of grasps in Stability and Affordance, m; -inf where one of these fails.
+
+    Args:
+        evaluator: of the objects.
+        T_obj_ee: (n, 4, 4) grasps, m.
+        of_object: (n,) which objects.
     """
     scene, thresholds = evaluator.scene, evaluator.config.thresholds
-    grasps, first, count = stacked(candidates_in(scene))
-    T = torch.from_numpy(grasps).to(scene.device)
-    of_object = np.repeat(np.arange(len(count)), count).astype(np.int32)
-    index = torch.from_numpy(of_object).to(scene.device)
+    T, index = (torch.from_numpy(x).to(scene.device) for x in (T_obj_ee, of_object))
     held = close_gripper(
         scene.grasp_tables, T, index,
         w_max=thresholds.w_max_m, w_min=thresholds.w_min_m, mode=evaluator.config.width
@@ -224,19 +270,23 @@ def _usable_grasps(
         cap_m=CLEARANCE_CAP_M
     )  # fmt: skip
     region_m = torch.where(region_m.isnan(), torch.inf, region_m)  # no region: nothing to spare
-    passes = ((held.margin_m >= 0) & (region_m > 0)).cpu().numpy()
-    spare = torch.minimum(held.margin_m, region_m).cpu().numpy()
-    kept = []
-    for i in range(len(count)):
-        rows = np.arange(first[i], first[i] + count[i])
-        good = rows[passes[rows] & (spare[rows] >= MARGIN_M)]
-        kept.append(good if len(good) else rows[passes[rows]] if passes[rows].any() else rows)
-    number = np.array([len(k) for k in kept], np.int64)
-    # the centre of the receiver's region, else of the surface, is held out to the hand
-    regions = (o.receiver_face[o.point_face] for o in scene.objects)
-    held_out = (o.points[r] if r.any() else o.points for o, r in zip(scene.objects, regions))
-    free = np.stack([points.astype(np.float64).mean(0) for points in held_out])
-    return grasps[np.concatenate(kept)], np.cumsum(number) - number, number, free
+    passes = (held.margin_m >= 0) & (region_m > 0)
+    spare = torch.where(passes, torch.minimum(held.margin_m, region_m), -torch.inf)
+    return spare.cpu().numpy()
+
+
+def usable_first(spare_m: NDArray[np.float32]) -> tuple[NDArray[np.int64], int]:
+    """Which grasps of an object are of use, those with a margin first, and how many have it; where none has, all count as such.
+    Where none passes, all are of use.
+
+    Args:
+        spare_m: (n,) of `spare_margins`.
+    """
+    every = np.arange(len(spare_m))
+    passes = spare_m > -np.inf
+    own = every[passes] if passes.any() else every
+    good = spare_m[own] >= MARGIN_M
+    return np.concatenate([own[good], own[~good]]), int(good.sum()) if good.any() else len(own)
 
 
 def _basis(z: Array) -> Array:

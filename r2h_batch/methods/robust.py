@@ -4,12 +4,18 @@ As the oracle it proposes pairs in rounds and asks the evaluator, but in the wor
 judged again with the object and the hand moved by each of the drawn errors. The first pair that succeeds under all of them is
 taken, else the one that does under most. It knows how large the errors are, not what they are. It bounds what knowledge of
 one's own errors brings; it is no upper bound of success.
+
+Where the object rests on the table first, grasps are those that the arm can pick: of all candidates, and where these are few,
+of grasps that come from above.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
-from jaxtyping import Float32
+from jaxtyping import Float32, Float64
+from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
@@ -18,7 +24,9 @@ from r2h_batch.config import ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.object_errors import taken_grasps
 from r2h_batch.methods.candidates import check_candidates
-from r2h_batch.methods.oracle import Fan, how_far
+from r2h_batch.methods.from_table import BACKS, KEPT, PickedGrasps, picked_grasps
+from r2h_batch.methods.grasps import NoGraspError, sample_grasps
+from r2h_batch.methods.oracle import Fan, how_far, spare_margins, usable_first, usable_grasps
 from r2h_batch.observe.known import known_moments
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand
@@ -29,7 +37,10 @@ TITLE, STAND_IN = "Robust search", "the judge"
 ROUNDS = 64
 """Proposals a trial gets at most; as the oracle's."""
 DRAWS = 16
+_ORDER = 0  # purpose of the random counters
 MOST_DRAWS = 256
+ABOVE, ABOVE_ENOUGH = 32, 120
+"""Grasps from above of an object that lacks others, and the number that they are chosen from [choice]."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +94,8 @@ def predict(
     if T_world_obj is not None:
         for judge in (evaluator, bare):
             known_moments(judge.scene).tell(trials, T_world_obj.to(scene.device))
-    fan = Fan(trials, evaluator, seed)
+    picks = pickable(trials, evaluator, seed) if "pick" in evaluator.benchmark.asks else None
+    fan = Fan(trials, evaluator, seed, picks)
     best = torch.full((n,), -torch.inf, dtype=torch.float64, device=scene.device)
     T_obj_ee, T_world_ee = (
         torch.eye(4, dtype=torch.float32, device=scene.device).repeat(n, 1, 1) for _ in range(2)
@@ -111,6 +123,82 @@ def predict(
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, method="robust").to(home)
 
 
+def pickable(trials: Trials, evaluator: Evaluator, seed: int) -> PickedGrasps:
+    """Up to `KEPT` grasps of each trial that the arm can pick: of its object's candidates, all of which are tried if need be;
+    then of grasps that come from above where the object rests.
+
+    Args:
+        trials: B trials.
+        evaluator: of their scene, whose benchmark asks for Pick.
+        seed: of the order of the candidates.
+    """
+    scene = evaluator.scene
+    T_world_obj = known_moments(scene).of(trials)
+    usable, objects = usable_grasps(evaluator), trials.object_index.cpu().numpy()
+    number, spare = usable.number[objects], usable.spare[objects]
+    most = int(number.max(initial=0))
+    u = rng.uniforms(
+        rng.key_of(f"robust grasps {seed}"), trials.trial_id.cpu().numpy(), most, purpose=_ORDER
+    ).T
+    place = np.arange(most)
+    later = np.where(place < spare[:, None], 0, 1) + (place >= number[:, None])
+    rows = usable.first[objects][:, None] + np.argsort(u + later, 1, kind="stable")
+
+    found = _tried(
+        scene,
+        trials,
+        T_world_obj,
+        [usable.T_obj_ee[r[:n]] for r, n in zip(rows, number, strict=True)],
+    )
+    few = np.flatnonzero(found.count < KEPT)
+    some = torch.from_numpy(few).to(scene.device)
+    down = -T_world_obj[some, 2, :3].double().cpu().numpy()
+    above = [_from_above(evaluator, int(objects[i]), d) for i, d in zip(few, down, strict=True)]
+    more = _tried(scene, trials[some], T_world_obj[some], above)
+    for i, T, draw, count in zip(few, more.T_obj_ee, more.draw, more.count, strict=True):
+        own = slice(found.count[i], min(KEPT, found.count[i] + count))
+        new = own.stop - own.start
+        found.T_obj_ee[i, own], found.draw[i, own] = T[:new], number[i] + draw[:new]
+        found.count[i] = own.stop
+    return found
+
+
+def _tried(
+    scene: Scene, trials: Trials, T_world_obj: Tensor, grasps: list[NDArray[np.float32]]
+) -> PickedGrasps:
+    """The first of each trial's grasps (n, 4, 4) that can be picked."""
+    number = np.array([len(T) for T in grasps], np.int64)
+    most = int(number.max(initial=0))
+    every = np.tile(np.eye(4), (len(grasps), most, 1, 1))
+    for own, T in zip(every, grasps, strict=True):
+        own[: len(T)] = T
+    return picked_grasps(
+        scene, trials, T_world_obj, lambda k: every[:, k], number, turns=(1 + BACKS) * most
+    )
+
+
+def _from_above(
+    evaluator: Evaluator, object_index: int, down: Float64[np.ndarray, "3"]
+) -> NDArray[np.float32]:
+    """(n, 4, 4) grasps of an object that pass Stability and Affordance, and that approach along `down` (frame obj)."""
+    scene = evaluator.scene
+    with warnings.catch_warnings():  # that few of them keep off the region is no user's business
+        warnings.simplefilter("ignore")
+        try:
+            found = sample_grasps(
+                scene.objects[object_index],
+                scene.robot,
+                count=ABOVE,
+                enough=ABOVE_ENOUGH,
+                along=down,
+            ).T_obj_ee
+        except NoGraspError:
+            return np.empty((0, 4, 4), np.float32)
+    spare_m = spare_margins(evaluator, found, np.full(len(found), object_index, np.int32))
+    passes = spare_m > -np.inf
+    return found[passes][usable_first(spare_m[passes])[0]]
+
+
 def holding(
     evaluator: Evaluator,
     trials: Trials,
@@ -134,30 +222,36 @@ def holding(
     known = known_moments(evaluator.scene)
     resting = known.of(trials) if "pick" in evaluator.benchmark.asks else None
     held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
+    if not draws:
+        return held
     grasps: list[Tensor] = []
     hands: list[Tensor] = []
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
-        grasp = taken_grasps(
-            replace(sizes.object, seed=own), evaluator.scene.objects, T_obj_ee, trials
+        grasps.append(
+            taken_grasps(replace(sizes.object, seed=own), evaluator.scene.objects, T_obj_ee, trials)
         )
-        hand = estimated_hand(
-            evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
+        hands.append(
+            estimated_hand(
+                evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
+            )
         )  # fmt: skip
-        grasps.append(grasp)
-        hands.append(hand)
-        if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
-            moved = replace(trials, T_world_hand=hand)
-            T_obj_moved = se3.matmul(T_obj_ee.double(), se3.inverse(grasp.double()))
-            known.tell(moved, se3.matmul(resting.double(), T_obj_moved).float())
-            held += evaluator.score(grasp, T_world_ee, moved).success
-    if resting is not None:  # a draw may leave the hand where it was
+    # all at once: a call for few rows costs as much as for many
+    rows = torch.arange(len(trials), dtype=torch.int64, device=T_obj_ee.device).repeat(draws)
+    grasp, moved = torch.cat(grasps), replace(trials[rows], T_world_hand=torch.cat(hands))
+    at_once = len(rows)
+    if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
+        T_obj_moved = se3.matmul(T_obj_ee[rows].double(), se3.inverse(grasp.double()))
+        there = se3.matmul(resting[rows].double(), T_obj_moved).float()
+        if not known.tells_apart(moved):  # draws that leave a hand where it was
+            at_once = len(trials)
+    for first in range(0, len(rows), max(at_once, 1)):
+        some = slice(first, first + at_once)
+        if resting is not None:
+            known.tell(moved[some], there[some])
+        scores = evaluator.score(grasp[some], T_world_ee[rows[some]], moved[some])
+        held += scores.success.reshape(-1, len(trials)).sum(0)
+    if resting is not None:
         known.tell(trials, resting)
-    elif draws:  # all at once: a call for few rows costs as much as for many
-        every = torch.arange(len(trials), dtype=torch.int64, device=T_obj_ee.device)
-        rows = every.repeat(draws)
-        moved = replace(trials[rows], T_world_hand=torch.cat(hands))
-        scores = evaluator.score(torch.cat(grasps), T_world_ee[rows], moved)
-        held += scores.success.reshape(draws, -1).sum(0)
     return held

@@ -9,6 +9,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import fields
 from importlib.abc import MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
@@ -20,9 +21,11 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.errors import UserError
 from r2h_batch.base.io.child import end_with
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function, raised
+from r2h_batch.base.validate_tensors import as_numbers
 from r2h_batch.observe.messages import receive, send
-from r2h_batch.observe.seen import unpacked
+from r2h_batch.observe.seen import KnownObjects, Observation, unpacked
 
 ALLOWED = ("r2h_batch.base", "r2h_batch.observe.seen")
 """Modules of the package that a method that sees may import, with all that lies in them."""
@@ -59,7 +62,7 @@ def main() -> int:
     if asked["threads"]:
         torch.set_num_threads(asked["threads"])
     sys.meta_path.insert(0, Forbidden())
-    options, function = asked["options"], None
+    options, function, seen = asked["options"], None, None
     while (message := receive(questions, sys.maxsize)) is not None:
         try:
             if function is None:
@@ -71,9 +74,19 @@ def main() -> int:
             found = _arrays(answer, len(seen), seconds)
         except BaseException as error:  # SystemExit too: the parent says it in one line
             own = isinstance(error, _WrongAnswerError)
-            found = {"error": np.array((str(error) if own else raised(error))[:MOST_LETTERS])}
+            words = (str(error) if own else raised(error))[:MOST_LETTERS]
+            found = {"error": np.array(words + _of_unknown(error, seen))}
         send(answers, found)
     return 0
+
+
+def _of_unknown(error: BaseException, seen: Observation | None) -> str:
+    """Advice on a method that takes `seen.known` for granted; nothing for other errors."""
+    parts = {field.name for field in fields(KnownObjects)}
+    of_none = isinstance(error, AttributeError) and error.obj is None and error.name in parts
+    if not of_none or seen is None or seen.known is not None:
+        return ""
+    return "; seen.known is None: the objects' models are not told, give --sees RIG,model=known"
 
 
 class _WrongAnswerError(UserError):
@@ -87,16 +100,16 @@ def _arrays(answer: Any, n: int, seconds: float) -> dict[str, NDArray[Any]]:
         what = f"its answer is a {type(answer).__name__}{size}"
         raise _WrongAnswerError(f"{what}; it must be (T_world_grasp, T_world_ee)")
     found: dict[str, NDArray[Any]] = {"t_method_s": np.full(n, seconds, np.float32)}
+    words = f"a tensor ({n}, 4, 4) of torch.float32 or torch.float64"
     for name, value in zip(("T_world_grasp", "T_world_ee"), answer, strict=True):
-        own = value.detach().cpu().numpy() if isinstance(value, torch.Tensor) else value
         try:
-            array = np.asarray(own, np.float64)
-        except (TypeError, ValueError):
-            array = np.empty(0)
-        if array.shape != (n, 4, 4):
-            shown = f"{type(value).__name__} {tuple(getattr(value, 'shape', ()))}"
-            raise _WrongAnswerError(f"{name} is a {shown}; it must be numbers ({n}, 4, 4)")
-        found[name] = array
+            numbers = as_numbers(name, value, words, "cpu")
+        except TypeError as error:
+            raise _WrongAnswerError(printable(error)) from None
+        if tuple(numbers.shape) != (n, 4, 4):
+            shown = f"{numbers.dtype} {tuple(numbers.shape)}"
+            raise _WrongAnswerError(f"{name} is {shown}; it must be {words}")
+        found[name] = numbers.detach().cpu().double().numpy()
     return found
 
 

@@ -35,6 +35,15 @@ class KnownMoments:
         """
         self._told |= zip(_keys(trials), T_world_obj, strict=True)
 
+    def tells_apart(self, trials: Trials) -> bool:
+        """Whether each of N rows can be told a moment of its own: no two are of one trial and the same hand.
+
+        Args:
+            trials: N trials, whose ids may repeat.
+        """
+        keys = _keys(trials)
+        return len(set(keys)) == len(keys)
+
     def forget(self, trials: Trials) -> None:
         """Drops what was told of trials.
 

@@ -202,6 +202,10 @@ def load_rig(name: str | Path) -> Rig:
             else f" is {printable(describe_value(first['input']))[:60]}"
         )
         rule = "it is needed" if first["type"] == "missing" else rule_of(first)
+        if first["type"] == "extra_forbidden":
+            parts: dict[str, type[_Part]] = {"sensor": Sensor, "cameras": Camera}
+            has = [*(Rig if len(first["loc"]) == 1 else parts[str(first["loc"][0])]).model_fields]
+            rule = f"there is no such field{nearest(str(first['loc'][-1]), has)}; it has {', '.join(has)}"
         raise FileError(f"{printable(path)}: {where}{found}; {rule}") from None
     names = [c.name for c in rig.cameras]
     if twice := [n for n in names if names.count(n) > 1]:

@@ -1,5 +1,6 @@
 """Images and clouds of cameras: all that a method that sees is given. Imports nothing of the scene."""
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TypeVar
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng
+from r2h_batch.base.validate import check_arguments, integer, one_of
 
 LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso")
 """Things that a pixel can show, by its label."""
@@ -109,6 +111,7 @@ class Observation:
             known=known,
         )
 
+    @check_arguments(points=integer(0), label=one_of(*LABELS), seed=integer())
     def cloud(
         self, points: int = 2048, *, label: str = "object", seed: int = 0
     ) -> tuple[Float32[Tensor, "n p 3"], Bool[Tensor, "n p"]]:
@@ -124,6 +127,10 @@ class Observation:
 
         Returns:
             (N, P, 3) float32 in the world, m, 0 where masked; (N, P) whether there is a point.
+
+        Raises:
+            TypeError: an argument of another type.
+            ValueError: a number of points below 0, or no such label.
         """
         images = self.hand if label == "hand" else self.object
         mask, camera, v, u = self._drawn(images, points, label, seed)
@@ -141,6 +148,7 @@ class Observation:
         )
         return torch.where(mask[..., None], found, torch.zeros_like(found)), mask
 
+    @check_arguments(points=integer(0), seed=integer())
     def cloud_region(self, points: int = 2048, *, seed: int = 0) -> Bool[Tensor, "n p"]:
         """Whether each point of `cloud(points, seed=seed)` is in the receiver's region; False where masked.
 
@@ -167,14 +175,15 @@ class Observation:
         row, pixel = (x.cpu().numpy() for x in shown.flatten(1).nonzero(as_tuple=True))
         key, ids = rng.key_of(f"cloud {label} {seed}"), self.key.cpu().numpy()
         (turn,) = rng.uniforms(key, ids[row], 1, purpose=0, attempt=pixel)
-        order = np.lexsort((turn, row))
-        count = np.bincount(row, minlength=len(self))
-        first = np.cumsum(count) - count
-        k = np.arange(points)
-        there = k < count[:, None]
+        # of equal turns the first pixel: numbers to sort, which takes a tenth of sorting by two columns
+        order = (turn * 2.0**32).astype(np.uint64) << np.uint64(32) | pixel.astype(np.uint64)
+        ends = np.searchsorted(row, np.arange(len(self) + 1))
         # masked places read any pixel
         taken = np.zeros((len(self), points), np.int64)
-        taken[there] = pixel[order][(first[:, None] + k)[there]]
+        there = np.arange(points) < np.diff(ends)[:, None]
+        for i, (begin, end) in enumerate(itertools.pairwise(ends.tolist())):
+            own = np.sort(order[begin:end])[:points]
+            taken[i, : len(own)] = own & np.uint64(0xFFFFFFFF)
         mask, at = (torch.from_numpy(x).to(shown.device) for x in (there, taken))
         h, w = shown.shape[-2:]
         return mask, at // (h * w), at % (h * w) // w, at % w

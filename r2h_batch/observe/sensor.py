@@ -21,6 +21,7 @@ Masks = Literal["exact", "eroded", "grown", "missed"]
 MASKS: tuple[Masks, ...] = get_args(Masks)
 MOST_NOISE = 5.0
 """Largest factor on a sensor's errors: flying pixels fill the edges at 2.3."""
+_MOST_LATERAL = 3.47  # the kernel's normal number of two words is at most this
 _PLACE = 0  # purpose of the random counters of calibration
 
 
@@ -42,6 +43,7 @@ class Errors:
         own.stereo = noise * sensor.disparity_px / (rig.focal_px * sensor.baseline_m)
         own.stereo_px = sensor.disparity_side_px
         own.lateral = noise * sensor.lateral_px
+        own.reach = max(1, math.floor(own.lateral * _MOST_LATERAL + 0.5))
         own.edge = sensor.edge_m
         own.edge_lost, own.flying, own.lost = (
             min(1.0, noise * share) for share in (sensor.edge_lost, sensor.edge_flying, sensor.lost)
@@ -71,12 +73,18 @@ class Errors:
             return depth_m
         n, cameras, rows, columns = depth_m.shape
         pixels = cameras * rows * columns
+        several = self._several(columns)
         run = over_trials(
-            kernels.measure, n, self.device, sizes={"depth": pixels}, width=pixels, chunk=1
+            kernels.measure,
+            n,
+            self.device,
+            sizes={"depth": pixels},
+            width=pixels // several,
+            chunk=1,
         )
         made = run(
-            cameras=cameras, columns=columns, rows=rows, width=self.rig.width, sensor=self._sensor, key=self._keys,
-            trial=trial_id.contiguous(), corner=corner_px.contiguous(),
+            several=several, cameras=cameras, columns=columns, rows=rows, width=self.rig.width, sensor=self._sensor,
+            key=self._keys, trial=trial_id.contiguous(), corner=corner_px.contiguous(),
             exact=depth_m.reshape(n, pixels).contiguous(), facing=facing.reshape(n, pixels).contiguous(),
         )  # fmt: skip
         found: Tensor = made["depth"].view(depth_m.shape)
@@ -96,17 +104,27 @@ class Errors:
         n, cameras, rows, columns = label.shape
         pixels = cameras * rows * columns
         by = {"eroded": -1, "grown": 1}.get(self.labels, 0) * self.rig.sensor.mask_px
+        several = self._several(columns)
         run = over_trials(
-            kernels.segment, n, self.device, sizes={"label": pixels}, width=pixels, chunk=1
+            kernels.segment,
+            n,
+            self.device,
+            sizes={"label": pixels},
+            width=pixels // several,
+            chunk=1,
         )
         made = run(
-            cameras=cameras, columns=columns, rows=rows, grown=by,
+            several=several, cameras=cameras, columns=columns, rows=rows, grown=by,
             missed=self.rig.sensor.mask_missed if self.labels == "missed" else 0.0,
             things=wp.vec2i(*map(LABELS.index, ("object", "hand"))),
             key=self._keys, trial=trial_id.contiguous(), exact=label.reshape(n, pixels).contiguous(),
         )  # fmt: skip
         found: Tensor = made["label"].view(label.shape)
         return found
+
+    def _several(self, columns: int) -> int:
+        """Pixels of a thread: on a CPU a row, whose neighbours share most of what they read and draw."""
+        return columns if self.device == "cpu" else 1
 
     def believed(self, trial_id: Int64[Tensor, " n"]) -> Float32[Tensor, "n c 4 4"]:
         """T_world_camera that a method is told, m: each camera turned about its centre, then shifted, along its own axes.

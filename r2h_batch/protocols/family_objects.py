@@ -14,6 +14,8 @@ from r2h_batch.scene.families.family import FAMILIES, Family
 from r2h_batch.scene.objects import ObjectModel
 
 PREFIX = "families:"
+OBJECTS = "--objects"
+"""The flag of such a text in most commands."""
 MOST = 1000
 """Instances of one command, a CPU second each where the cache does not hold them."""
 FIRST_SERIES = 1000
@@ -58,38 +60,40 @@ def drawn_instance(one: Planned) -> ObjectModel:
     return kept_instance(one.family, one.series, one.index, standing=one.standing)
 
 
-def planned_objects(text: str) -> tuple[Planned, ...]:
+def planned_objects(text: str, given: str = OBJECTS) -> tuple[Planned, ...]:
     """The instances that `family_objects` draws for a text, in its order; none is drawn.
 
     Args:
         text: as of `family_objects`.
+        given: what the user gave the text as, for messages; behind others than `OBJECTS` it needs no `PREFIX`.
 
     Raises:
         FileError: as of `family_objects`.
     """
-    families, count, seed, standing = _asked(text)
+    families, count, seed, standing = _asked(text, given)
     return tuple(
         Planned(f, FIRST_SERIES + seed, i, standing) for f in families for i in range(count)
     )
 
 
-def family_objects(text: str) -> tuple[ObjectModel, ...]:
+def family_objects(text: str, given: str = OBJECTS) -> tuple[ObjectModel, ...]:
     """The instances that such a text names, category by category.
 
     Args:
         text: `families:cup,hammer x 20 seed 7`; `families:*` means all categories; without a count 6 of
             each, without a seed 0. `package.module:NAME` or `FILE.py:NAME` is a family of the user's. With the word
             `standing` at its end fillings stand at the bottom of vessels.
+        given: as of `planned_objects`.
 
     Raises:
         FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
     """
-    return _drawn(planned_objects(text))
+    return _drawn(planned_objects(text, given))
 
 
 def family_splits(text: str) -> set[str]:
     """The splits of the categories that such a text names; nothing is drawn."""
-    return {f.split for f in _asked(text)[0]}
+    return {f.split for f in _asked(text, OBJECTS)[0]}
 
 
 def names_code(text: str) -> bool:
@@ -97,27 +101,35 @@ def names_code(text: str) -> bool:
     return text.startswith(PREFIX) and ":" in text.removeprefix(PREFIX)
 
 
-def _asked(text: str) -> tuple[tuple[Family, ...], int, int, bool]:
+def _asked(text: str, given: str) -> tuple[tuple[Family, ...], int, int, bool]:
+    """Families, count, seed, and whether fillings stand; a message begins with what the text was given as."""
+    prefix = PREFIX if given == OBJECTS else ""
+    try:
+        return _read(text if prefix else PREFIX + text.removeprefix(PREFIX), prefix)
+    except FileError as error:
+        raise FileError(f"{given}: {error}") from error
+
+
+def _read(text: str, prefix: str) -> tuple[tuple[Family, ...], int, int, bool]:
     try:
         known = tuple(FAMILIES)
         found = FORM.fullmatch(text)
         if found is None:
+            shown = printable(text if prefix else text.removeprefix(PREFIX))[:200]
             raise FileError(
-                f"--objects {printable(text)[:200]!r}: write families:CATEGORY,... x COUNT seed SEED, as in --objects"
-                f' "families:cup,hammer x 20 seed 7"; CATEGORY is * or of {", ".join(known)}, or your own package.module:NAME;'
+                f"{shown!r} names no families; write {prefix}CATEGORY,... x COUNT seed SEED, as in"
+                f' "{prefix}cup,hammer x 20 seed 7"; CATEGORY is * or of {", ".join(known)}, or your own package.module:NAME;'
                 " with the word standing behind it fillings stand at the bottom of bottles"
             )
         names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
         names = known if names == ["*"] else names
         families = tuple(_own(n) if ":" in n else _named(n, known) for n in names)
     except ModuleNotFoundError as error:
-        raise FileError(
-            f"--objects families: needs {error.name}; pip install 'r2h_batch[build]'"
-        ) from None
+        raise FileError(f"families need {error.name}; pip install 'r2h_batch[build]'") from None
     except PluginError as error:
-        raise FileError(f"--objects: {error}") from None
+        raise FileError(str(error)) from None
     if len({f.category for f in families}) < len(families):
-        raise FileError("--objects: a family stands twice; give each once")
+        raise FileError("a family stands twice; give each once")
     count, seed = (
         int((found[word] or usual)[:20]) for word, usual in (("count", "6"), ("seed", "0"))
     )
@@ -125,9 +137,9 @@ def _asked(text: str) -> tuple[tuple[Family, ...], int, int, bool]:
     if not 1 <= count <= MOST // len(names):
         each, whole = f"x {count:,} of {of}", f"{count * len(names):,}"
         allowed = f"at most {MOST:,} are allowed, so write x 1 to x {MOST // len(names)}"
-        raise FileError(f"--objects: {each} is {whole} objects; {allowed}")
+        raise FileError(f"{each} is {whole} objects; {allowed}")
     if seed >= 1 << 31:
-        raise FileError(f"--objects: the seed is {seed}; it must be below 2^31")
+        raise FileError(f"the seed is {seed}; it must be below 2^31")
     return families, count, seed, found["fillings"] is not None
 
 
@@ -138,7 +150,7 @@ def _named(name: str, known: Sequence[str]) -> Family:
     same = [c for c, words in called.items() if words and name.replace("_", " ") in words.names]
     hint = f", did you mean {same[0]}?" if same else nearest(name, known)
     raise FileError(
-        f"--objects: no family is called {name!r}{hint}; there are {', '.join(known)}, or * for all"
+        f"no family is called {name!r}{hint}; there are {', '.join(known)}, or * for all"
     )
 
 
@@ -149,7 +161,7 @@ def _own(spec: str) -> Family:
     except ModuleNotFoundError:
         raise
     except ImportError as error:
-        raise FileError(f"--objects: {spec}: {' '.join(str(error).split())}") from error
+        raise FileError(f"{spec}: {' '.join(str(error).split())}") from error
     return _checked(found, spec)
 
 
@@ -157,11 +169,11 @@ def _checked(found: object, name: str) -> Family:
     """A family under its own name."""
     if not isinstance(found, Family):
         raise FileError(
-            f"--objects: {name} is a {type(found).__name__}; a family is a generator below @family(...)"
+            f"{name} is a {type(found).__name__}; a family is a generator below @family(...)"
         )
     if ":" not in name and found.category != name:
         raise FileError(
-            f"--objects: the family that an entry point calls {name!r} calls itself {found.category!r}; give both one name"
+            f"the family that an entry point calls {name!r} calls itself {found.category!r}; give both one name"
         )
     return found
 

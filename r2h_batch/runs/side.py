@@ -1,12 +1,15 @@
 """Files beside the shards, one for each method: RUN/held, reception, transfer and viewed/METHOD.parquet.
 
-`r2h-batch results` makes them of stored rows. No digest in a name covers them. So their size is bounded by the rows of the
-run before they are read, and their trials and successes must be those of the shards. What they say beyond that is believed.
+`r2h-batch results` makes them of stored rows. Their size is bounded by the rows of the run before they are read. Their columns
+must be those that were written: the footer has a digest of them. Their trials and successes must be those of the shards, and
+nobody takes what was not received. What they say beyond that is believed.
 """
 
+import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -20,6 +23,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.tables import MAX_WORD
+from r2h_batch.base.io.write import atomic_path
 from r2h_batch.runs.files import RunError, in_the_way
 from r2h_batch.runs.header import SIDE_FOLDERS
 from r2h_batch.runs.methods import Entry
@@ -58,7 +62,91 @@ MOST_CASES = 1000
 """Rows of a trial: policies, scenarios and persons of a transfer."""
 FREE_BYTES, ROW_BYTES, MOST_BYTES = 16 << 20, 512, 1 << 30
 """Memory that a file may take: some, more for each row that it may have, and never more than the last."""
+DIGEST = b"r2h_batch columns"
+"""Key in the footer: the digest of all columns."""
 HOW = "take the file away; `r2h-batch results {}` makes it anew"
+
+
+class SideWriter:
+    """Writes the rows of a file in parts, and then the digest of its columns."""
+
+    def __init__(self, writer: pq.ParquetWriter, schema: pa.Schema) -> None:
+        """Begins without rows.
+
+        Args:
+            writer: of the file.
+            schema: of its rows.
+        """
+        self._writer, self._schema, self._columns = writer, schema, _Columns(schema)
+
+    def write(self, rows: pa.Table) -> None:
+        """Adds rows.
+
+        Args:
+            rows: of the schema; its metadata is not written.
+        """
+        rows = rows.replace_schema_metadata(self._schema.metadata)
+        self._writer.write_table(rows)
+        self._columns.add(rows)
+
+    def seal(self) -> None:
+        """Writes the digest."""
+        self._writer.add_key_value_metadata({DIGEST.decode(): self._columns.digest})
+
+
+@contextmanager
+def side_writer(
+    path: Path, schema: pa.Schema, about: Mapping[bytes, Any] | None = None
+) -> Iterator[SideWriter]:
+    """A writer of a file that `read_side` reads; the file is there at the end, whole.
+
+    Args:
+        path: of the file.
+        schema: of its rows.
+        about: key -> what the file was made of, as JSON has it.
+    """
+    own = schema.with_metadata({k: json.dumps(v).encode() for k, v in (about or {}).items()})
+    path.parent.mkdir(exist_ok=True)
+    with atomic_path(path) as new, pq.ParquetWriter(new, own) as writer:
+        side = SideWriter(writer, own)
+        yield side
+        side.seal()
+
+
+class _Columns:
+    """A digest of a table's columns: names, types and values, in their order, however many rows come at once."""
+
+    def __init__(self, schema: pa.Schema) -> None:
+        self._of = {
+            field.name: (hashlib.sha256(str(_plain_type(field.type)).encode()), hashlib.sha256())
+            for field in schema
+        }
+
+    def add(self, rows: pa.Table) -> None:
+        for name, (values, there) in self._of.items():
+            for chunk in rows[name].chunks:
+                values.update(_bytes_of(chunk))
+                there.update(chunk.is_valid().to_numpy(zero_copy_only=False).tobytes())
+
+    @property
+    def digest(self) -> str:
+        every = [(name, *(h.hexdigest() for h in both)) for name, both in self._of.items()]
+        return hashlib.sha256(json.dumps(every).encode()).hexdigest()
+
+
+def _plain_type(of: pa.DataType) -> pa.DataType:
+    return of.value_type if pa.types.is_dictionary(of) else of
+
+
+def _bytes_of(chunk: pa.Array) -> bytes:
+    """The values of a column, gaps as zeros or empty words."""
+    plain = chunk.cast(_plain_type(chunk.type))
+    if pa.types.is_string(plain.type):
+        return "".join(f"{json.dumps(word)}\n" for word in plain.fill_null("").to_pylist()).encode()
+    numbers: NDArray[Any] = plain.fill_null(
+        False if pa.types.is_boolean(plain.type) else 0
+    ).to_numpy(zero_copy_only=False)
+    return numbers.tobytes()
 
 
 def side_path(entry: Entry, folder: str, ending: str = "") -> Path:
@@ -138,6 +226,20 @@ def about_side(path: Path, made_of: bytes) -> dict[str, Any]:
     return about if isinstance(about, dict) else {}
 
 
+def is_kept(path: Path, schema: pa.Schema, trials: int) -> bool:
+    """Whether a file is as `side_writer` wrote it, with these columns, and no larger than its run allows.
+
+    Args:
+        path: of the file; it exists.
+        schema: of its rows.
+        trials: of the run.
+    """
+    if unbounded(path, trials) or pq.read_schema(path) != schema:
+        return False
+    with _opened(path) as file:
+        return not _not_as_written(file, file.read())
+
+
 def read_side(path: Path, trial_id: NDArray[np.int64], success: NDArray[np.bool_]) -> pa.Table:
     """The columns of `KINDS` of a file, after its size is bounded and its trials are compared with the run's.
 
@@ -161,7 +263,10 @@ def read_side(path: Path, trial_id: NDArray[np.int64], success: NDArray[np.bool_
                 if found != type_:
                     has = "is missing" if found is None else f"is {found}; it must be {type_}"
                     raise FileError(f"column {name!r} {has}")
-            table = file.read(columns=list(columns)).cast(pa.schema(list(columns.items())))
+            every = file.read()
+            if what := _not_as_written(file, every):
+                raise FileError(what)
+            table = every.select(list(columns)).cast(pa.schema(list(columns.items())))
     except FileError as error:
         raise RunError(f"{printable(path)}: {error}; {how}") from None
     except (OSError, ValueError, pa.ArrowException) as error:
@@ -169,6 +274,16 @@ def read_side(path: Path, trial_id: NDArray[np.int64], success: NDArray[np.bool_
     if what := _not_of_run(table, trial_id, success, kind):
         raise RunError(f"{printable(path)}: {what}; {how}")
     return table
+
+
+def _not_as_written(file: pq.ParquetFile, every: pa.Table) -> str:
+    """How a file's columns are not those that were written; empty where they are."""
+    told = (file.metadata.metadata or {}).get(DIGEST)
+    if told is None:
+        return "has no digest of its columns: an older version or another program wrote it"
+    columns = _Columns(every.schema)
+    columns.add(every)
+    return "" if told == columns.digest.encode() else "its columns are not those that were written"
 
 
 def _not_of_run(
@@ -185,6 +300,10 @@ def _not_of_run(
     if len(each) < len(table):
         twice = each.filter(pc.greater(each["count_all"], 1))["trial_id"][0]
         return f"trial {twice} stands there twice for one {' and '.join(kind.key)}"
+    if "outcome" in table.column_names:
+        odd = pc.and_(pc.equal(table["outcome"], "taken"), pc.invert(table["received"]))
+        if len(odd_ids := table.filter(odd)["trial_id"]):
+            return f"trial {odd_ids[0]} is taken, and not received"
     if kind.of_rows and len(ids):
         order = np.argsort(trial_id)
         own = success[order][np.searchsorted(trial_id[order], ids)]

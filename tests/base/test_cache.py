@@ -1,6 +1,7 @@
 """Entries of the disk cache: made once, by one process, and made again whenever it cannot be read or depends on other
 things."""
 
+import errno
 import multiprocessing
 import os
 from pathlib import Path
@@ -57,6 +58,19 @@ def test_made_once_and_again_when_damaged_or_forbidden(folder, monkeypatch):
     with pytest.warns(UserWarning, match="the cache cannot be written there .Not a directory"):
         assert cached("things", KEY, make, FORM) and make.times == 6
     assert not list(folder.rglob(".*"))
+
+
+def test_a_full_disk_is_told_and_leaves_no_part_of_an_entry(folder, monkeypatch):
+    def full(path, arrays):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    make = Maker()
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match=r"cannot be written there \(No space left"):
+        patch.setattr(module, "write_npz", full)
+        assert cached("things", KEY, make, FORM)["x"].shape == (5,)
+    assert not list(folder.rglob("*.npz")) and make.times == 1
+    assert cached("things", KEY, make, FORM) and make.times == 2 and _entry(folder).exists()
 
 
 def _entry(folder: Path) -> Path:

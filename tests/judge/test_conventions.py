@@ -14,7 +14,8 @@ from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.conventions import failing, other_poses
-from r2h_batch.methods import oracle
+from r2h_batch.methods import oracle, random
+from r2h_batch.methods.predictors import predict_target
 from r2h_batch.observe import moments
 from r2h_batch.protocols.load import load_benchmark
 
@@ -129,6 +130,7 @@ def test_a_hint_changes_no_verdict(solved, fresh):
         (180 / math.pi, 1.0, "q read as degrees: angles"),
         (180 / math.pi, 1000.0, "q read as degrees and time_s as milliseconds"),
         (1.0, 1000.0, "with time_s read as milliseconds it lasts"),
+        (1.0, 1e6, "with time_s read as microseconds it lasts"),
         (1.0, 1.0, None),
     ],
 )
@@ -141,10 +143,21 @@ def test_motions_in_degrees_or_milliseconds_are_told(solved, fresh, of_q, of_tim
     assert len(lines) == (words is not None) and all(words in line for line in lines), lines
 
 
-def test_the_hands_pose_in_place_of_the_ees_is_named(fresh, solved):
+@pytest.mark.parametrize("name", ["r2h-v0", "r2h-release"])
+@pytest.mark.parametrize("hand", ["true", "estimated"])
+def test_the_hands_pose_in_place_of_the_ees_is_named(name, hand):
+    evaluator = load_benchmark(name).evaluator(threads=1)
+    trials = evaluator.benchmark.trials(6)
+    T = trials.T_world_hand if hand == "true" else predict_target(trials, evaluator.scene, seed=0).T.float()
+    assert (hand == "true") == torch.equal(T, trials.T_world_hand)
+    T_obj_ee = random.predict(trials, evaluator.scene, seed=0).T_obj_ee
+    words = r"T_world_ee lies at the hand's pose \(trials.T_world_hand, true or estimated\) in all 12 rows"
+    with pytest.warns(UserWarning, match=words):
+        evaluator.score(T_obj_ee, T, trials, stages="pose")
+
+
+def test_one_gripper_that_is_not_in_the_hand_is_enough(fresh, solved):
     trials, (T_obj_ee, T_world_ee), _ = solved
-    with pytest.warns(UserWarning, match=r"T_world_ee is the hand's pose \(trials.T_world_hand\) in 8 of 8 rows"):
-        fresh().score(T_obj_ee, trials.T_world_hand, trials)
     some = trials.T_world_hand.clone()
     some[0] = T_world_ee[0]
     with warnings.catch_warnings(record=True) as told:

@@ -196,7 +196,11 @@ def test_objects_that_methods_are_tested_with_are_refused_under_any_name_and_tur
         ({"first_id": 1000}, "ids below 2,000,000,000 are those that methods are tested on"),
         ({"leave_out": ("cups",)}, "leave_out has 'cups', which names no instance; there are cup, hammer"),
         ({"leave_out": ("*",)}, "leave_out names all instances"),
-        ({"families": "cupp x 2"}, "no family is called 'cupp'"),
+        ({"families": "cupp x 2"}, "^families: no family is called 'cupp', did you mean cup"),
+        (
+            {"families": "families:cup y 2"},
+            "^families: 'cup y 2' names no families; write CATEGORY,.* \"cup,hammer x 20",
+        ),
         ({"families": []}, "families names no objects"),
         ({"pairs": 0}, "pairs"),
         ({"pairs": 6, "poses": 4}, "poses is 4; it must divide pairs, which is 6"),

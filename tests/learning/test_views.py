@@ -57,8 +57,10 @@ def test_a_shard_holds_what_the_cameras_saw_and_the_labels_of_the_stream(shards)
 def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, tmp_path):
     held = "hammer x 1 seed 91"
     line = ["observe", "export", "--out", str(tmp_path), "--trials", "6", "--pairs", "4", "--families", held]
-    assert main([*line, "--sees", "cell-v1,region=told"]) == 0
+    assert main([*line, "--sees", "cell-v1,region=told", "--believed", "4"]) == 0
     with h5py.File(tmp_path / "shard-000000.h5") as file, h5py.File(shards[0] / "shard-000000.h5") as other:
+        own = {k: torch.from_numpy(file[f"believed/{k}"][()]) for k in ("row", "T_world_obj", "cloud", "region")}
+        points, mask = (torch.from_numpy(file[f"cloud/{k}"][()]) for k in ("points", "mask"))
         told = {k: file[k][()] for k in ("object/region", "cloud/region")}
         assert "object/region" not in other and "cloud/region" not in other
         ids, label = file["truth/trial_id"][()], file["object/label"][()]
@@ -67,6 +69,14 @@ def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, t
     seen, _ = Sees.parse("cell-v1,region=told").look(pairs.evaluator.scene, trials)
     assert np.array_equal(told["object/region"], seen.region.numpy()) and told["object/region"].shape == label.shape
     assert 0 < told["cloud/region"].mean() < 1
+    for i in each(range(len(own["row"]))):  # what a ranker learns from has the region where its points were seen
+        T, row = own["T_world_obj"][i].double(), own["row"][i]
+        solid = own["cloud"][i].double() @ T[:3, :3].T + T[:3, 3]
+        close, nearest = torch.cdist(solid, points[row].double()[mask[row]]).min(1)
+        seen_part = torch.from_numpy(told["cloud/region"][row])[mask[row]][nearest].bool()
+        some = close < 0.004
+        assert some.sum() > 10 and 0 < own["region"][i].bool().sum() < len(solid)
+        assert (own["region"][i].bool() == seen_part)[some].float().mean() > 0.9, i
     assert np.array_equal(told["cloud/region"], seen.cloud_region(2048).numpy())
     assert "`cloud/region`" in (tmp_path / "README.md").read_text()
     assert "region`" not in (shards[0] / "README.md").read_text()
@@ -96,7 +106,7 @@ def test_shards_that_are_there_stay_and_others_are_made_alike(shards, tmp_path, 
         (("--sees", "cell-v9"), "rig 'cell-v9'"),
         (("--trials", "0"), "--trials is 0; it must be 1 to 1000"),
         (("--sees", "cell-v1,noise=0"), "is of shards made otherwise; take another --out"),
-        (("--families", "cup x 0"), "x 0 of one family is 0 objects"),
+        (("--families", "cup x 0"), "families: x 0 of one family is 0 objects"),
     ],
 )
 def test_what_cannot_be_exported_is_refused_in_one_line(shards, more, words, capsys):
@@ -167,7 +177,10 @@ def test_a_ranker_learns_from_shards_and_begins_with_given_weights(believed, tmp
         (("--views", "{text}"), "shard-000000.h5: not a readable shard"),
         (("--views", "{believed}", "--leave-out", "cup"), "--leave-out does not go with --views"),
         (("--views", "{believed}", "--benchmark", "r2h-v2"), "--benchmark does not go with --views"),
-        (("--views", "{believed}", "--start", "{empty}/none.safetensors"), "none.safetensors: no such file"),
+        (
+            ("--views", "{believed}", "--start", "shippd"),
+            "shippd: no such file; give rank.safetensors of another training, or shipped",
+        ),
     ],
 )
 def test_what_a_ranker_cannot_learn_from_is_refused_in_one_line(shards, believed, tmp_path, more, words, capsys):

@@ -25,6 +25,7 @@ from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.sees import Sees
 from r2h_batch.observe.solid import _in_hull, completed, levelled
 from r2h_batch.scene.objects import build_object
+from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.seeing import Looks, SeeingMethod
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA
@@ -176,6 +177,59 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, 
     other = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), {"seed": 0}, looks)
     monkeypatch.setattr(Sees, "look", lambda self, scene, trials: (view(0.0)[rows], T_world_obj))
     assert not torch.equal(other.predict(some).T_obj_ee, answers[0].T_obj_ee)
+
+
+@pytest.mark.parametrize(("method", "shown"), [(random, ()), (handover_va, ("parts", "target"))])
+def test_exact_images_of_known_objects_give_the_answers_and_verdicts_of_the_same_objects_and_hands_told(method, shown):
+    scene, trials, _ = cell()
+    judge, known = scene.benchmark.evaluator(), believed.known_before(scene.benchmark)
+    sees = Sees.parse("cell-v1,noise=0,model=known,object=none")
+    told = SeeingMethod.built_in(method.__name__, method.predict, shown, {"seed": 0}, Looks(sees, judge)).predict(
+        trials
+    )
+    # told: the same meshes and hands in frames of their own, without a moment and without images
+    seen = sees.look(scene, trials)[0]
+    own = scene_of_truth(scene, trials, *known)
+    receiver = scene.palm(trials.hand_index, trials.T_world_hand)
+    side = scene.hands.set.side[trials.hand_index.long()]
+    index = torch.tensor(
+        [list(dict.fromkeys(trials.object_index.tolist())).index(k) for k in trials.object_index.tolist()]
+    )
+    hand = torch.tensor([own.hands.set.side.tolist().index(k) for k in side.tolist()])
+    T_world_hand = torch.stack([onto(own, h, scene, trials, i) for i, h in enumerate(hand.tolist())])
+    truth = Trials(seen.key, index.int(), hand.int(), T_world_hand).named(own.objects)
+    more = {"noise": believed.noise_left(0.0)} if method is handover_va else {}
+    expected = method.predict(truth, own, seed=0, **more)
+    assert torch.allclose(own.palm(truth.hand_index, T_world_hand)[0], receiver[0], atol=1e-6)
+    assert (told.T_obj_ee - expected.T_obj_ee).abs().max() < 1e-6
+    assert (told.T_world_ee - expected.T_world_ee).abs().max() < 1e-6
+    a, b = (judge.score(x.T_obj_ee, x.T_world_ee, trials, stages="pose") for x in (told, expected))
+    assert torch.equal(a.passed, b.passed) and torch.equal(a.evaluated, b.evaluated)
+    assert 0 < int(a.passed.sum()) < a.passed.numel()
+
+
+def scene_of_truth(scene, trials, benchmark, hands):
+    """The scene's own meshes with candidates sampled anew, one part each, and two hands."""
+    objects = []
+    for k in dict.fromkeys(trials.object_index.tolist()):
+        mesh = scene.objects[k]
+        # frames and names decide draws, so names are those of what is known
+        v, f = mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32)
+        objects.append(believed.with_grasps(believed_object.known_mesh(v.tobytes(), f.tobytes(), b""), benchmark.robot))
+    return Scene(
+        replace(benchmark, objects=tuple(objects), hand_set=hands), config=replace(scene.config, receiver="hand")
+    )
+
+
+def onto(own, h, scene, trials, i):
+    """T_world_hand (4, 4) of a hand whose wrist-to-finger axis, normal and palm are those of the trial's hand."""
+    frames = []
+    for of, index in ((own, h), (scene, int(trials.hand_index[i]))):
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = of.hands.directions[index].double().numpy(), of.hands.palm_point[index].double().numpy()
+        frames.append(T)
+    T_world = trials.T_world_hand[i].double().numpy()
+    return torch.from_numpy(T_world @ frames[1] @ np.linalg.inv(frames[0])).float()
 
 
 def true_region(row, middles):

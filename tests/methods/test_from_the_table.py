@@ -14,10 +14,10 @@ from r2h_batch.config import EvalConfig, ExecConfig, ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.pick import picked
-from r2h_batch.methods import contact, fc, handover_va, intent, learned, robust
+from r2h_batch.methods import contact, fc, handover_va, intent, learned, oracle, robust
 from r2h_batch.methods.believed import known_before
 from r2h_batch.methods.candidates import candidate_table
-from r2h_batch.methods.from_table import MOST_BACK_M, chosen_candidate, first_picked
+from r2h_batch.methods.from_table import KEPT, MOST_BACK_M, chosen_candidate, first_picked, picked_grasps
 from r2h_batch.methods.placing import in_order, least
 from r2h_batch.methods.predictors import PredictorNoise, predict_receiving
 from r2h_batch.methods.robust import Sizes, holding
@@ -254,6 +254,90 @@ def test_a_search_picks_the_object_where_it_is_told_to_lie_also_with_an_evaluato
     assert torch.equal(known_moments(own.kinematic.scene).of(some), there)
 
 
+def test_a_search_with_errors_knows_grasps_that_can_be_picked_and_comes_from_above_where_candidates_are_few():
+    found, usable = robust.pickable(trials(), judge(), 0), oracle.usable_grasps(judge())
+    objects, above = trials().object_index.numpy(), 0
+    for k in each(range(KEPT)):
+        rows = np.flatnonzero(found.count > k)
+        T = torch.from_numpy(found.T_obj_ee[rows, k].astype(np.float32))
+        assert is_picked(T, torch.from_numpy(rows)).all()
+    for i in each(range(2 * N)):
+        number, first = int(usable.number[objects[i]]), int(usable.first[objects[i]])
+        grasps, draws = (x[i, : found.count[i]] for x in (found.T_obj_ee, found.draw))
+        assert len(set(draws.tolist())) == len(draws)  # none is tried twice
+        turns = usable.T_obj_ee[first : first + number, :3, :3]
+        known = (grasps[:, None, :3, :3].astype(np.float32) == turns).all((2, 3)).any(1)
+        assert np.array_equal(known, draws < number)
+        down = -grasps[~known, :3, 2] @ rest()[i, 2, :3].double().numpy()
+        assert (down > 0.5 - 1e-6).all()
+        above += int((~known).sum())
+    assert above and (found.count > 0).all() and (found.count == KEPT).any()
+    other = robust.pickable(trials(), judge(), 1)
+    assert not np.array_equal(other.T_obj_ee[:, 0], found.T_obj_ee[:, 0])
+
+
+def test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side(monkeypatch):
+    some, known, asked = trials()[:3], known_moments(judge().scene), []
+    c, s = np.cos(1.1), np.sin(1.1)
+    tilted = rest()[:3] @ se3.from_rotation(torch.tensor([[1, 0, 0], [0, c, -s], [0, s, c]]).float(), torch.zeros(3))
+    real = robust.sample_grasps
+    monkeypatch.setattr(robust, "sample_grasps", lambda *a, **k: asked.append(k["along"]) or real(*a, **k))
+    tilted[:, 0, 3] += 5.0  # out of reach: no candidate can be picked
+    known.tell(some, tilted)
+    try:
+        robust.pickable(some, judge(), 0)
+    finally:
+        known.forget(some)
+    down = [T[:3, :3].double().numpy() @ along for T, along in zip(tilted, asked, strict=True)]
+    assert np.allclose(down, [0, 0, -1], atol=1e-6)
+
+
+def test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_spare_margins_first(monkeypatch):
+    usable, asked = oracle.usable_grasps(judge()), []
+
+    def kept(scene, part, T_world_obj, draw, number, **options):
+        asked.append((draw, number))
+        return picked_grasps(scene, part, T_world_obj, draw, number, **options)
+
+    monkeypatch.setattr(robust, "picked_grasps", kept)
+    robust.pickable(trials(), judge(), 0)
+    (draw, number), _ = asked
+    objects = trials().object_index.numpy()
+    assert np.array_equal(number, usable.number[objects]) and (usable.spare < usable.number)[objects].any()
+    for i in each(range(2 * N)):
+        own = np.stack([draw(k)[i] for k in range(number[i])]).astype(np.float32)
+        margins = oracle.spare_margins(judge(), own, np.full(len(own), objects[i], np.int32))
+        n = int(usable.spare[objects[i]])
+        assert len(np.unique(own, axis=0)) == len(own)
+        assert (margins[:n] >= oracle.MARGIN_M).all() and (margins[n:] < oracle.MARGIN_M).all()
+
+
+def test_grasps_of_a_search_with_errors_are_those_of_a_trial_alone():
+    every = robust.pickable(trials(), judge(), 0)
+    for rows in each((torch.tensor([5]), torch.tensor([11, 2, 7, 14]), torch.arange(0))):
+        found = robust.pickable(trials()[rows], judge(), 0)
+        for name in ("T_obj_ee", "draw", "count"):
+            assert np.array_equal(getattr(found, name), getattr(every, name)[rows.numpy()])
+
+
+def test_errors_are_judged_at_once_where_each_has_a_moment_of_its_own(monkeypatch):
+    evaluator, some = judge(), trials()[:4]
+    found = robust.predict(some, evaluator.scene, evaluator=evaluator, draws=0, rounds=12)
+    solved = torch.nonzero(evaluator.score(found.T_obj_ee, found.T_world_ee, some).success)[:, 0]
+    pairs = some[solved], found.T_obj_ee[solved], found.T_world_ee[solved]
+    n, calls, real = len(solved), [], type(evaluator).score
+    assert n >= 2
+    monkeypatch.setattr(type(evaluator), "score", lambda self, *a, **k: calls.append(len(a[0])) or real(self, *a, **k))
+    errors = ObjectErrors(0.004, 2.0)
+    held = holding(evaluator, *pairs, Sizes(errors, PredictorNoise()), 5, 0)
+    exact = holding(evaluator, *pairs, Sizes(errors, EXACT), 3, 0)
+    assert calls == [5 * n, n, n, n]  # an exact hand: the draws share a moment
+    assert 0 < held.sum() < 5 * n and 0 < exact.sum() < 3 * n
+    with monkeypatch.context() as patch:
+        patch.setattr(KnownMoments, "tells_apart", lambda self, trials: False)
+        assert torch.equal(holding(evaluator, *pairs, Sizes(errors, PredictorNoise()), 5, 0), held)
+
+
 def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper(monkeypatch):
     evaluator, some = judge(), trials()[:2]
     found = robust.predict(some, evaluator.scene, evaluator=evaluator, draws=0, rounds=2)
@@ -264,9 +348,10 @@ def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper
     holding(evaluator, some, found.T_obj_ee, found.T_world_ee, sizes, 2, 0)
     known = known_moments(evaluator.scene)
     for grasp, _, moved, *_ in each(asked):
-        T = known.of(moved)
-        assert (T - rest()[:2]).abs().amax() > 1e-3
-        there, told = (se3.matmul(x.double(), y.double()) for x, y in ((T, grasp), (rest()[:2], found.T_obj_ee)))
+        T, still = known.of(moved), rest()[:2].repeat(2, 1, 1)
+        assert (T - still).abs().amax((1, 2)).min() > 1e-4
+        told = found.T_obj_ee.repeat(2, 1, 1)
+        there, told = (se3.matmul(x.double(), y.double()) for x, y in ((T, grasp), (still, told)))
         assert torch.allclose(there, told, atol=1e-6)
     holding(evaluator, some, found.T_obj_ee, found.T_world_ee, Sizes(ObjectErrors(0.005, 4.0), EXACT), 2, 0)
     assert torch.equal(known.of(some), rest()[:2])  # an exact hand: the draws were of these very trials

@@ -167,3 +167,17 @@ def test_a_users_mesh_gets_grasps_that_leave_its_region_free_or_is_refused_or_wa
     small = replace(small, receiver_face=np.ones(len(small.faces), bool))
     with pytest.warns(UserWarning, match=r"pin: 0 of 10 grasps"):
         sample_grasps(small, count=10)
+
+
+def test_grasps_along_a_direction_approach_within_60_degrees_of_it_and_are_others_than_the_candidates() -> None:
+    model, down = MODELS["hammer"], np.array([0.0, 0.6, -0.8])
+    every, found = (sample_grasps(model, count=24, enough=60, along=along) for along in (None, down))
+    towards = found.T_obj_ee[:, :3, 2] @ down
+    assert len(found) == 24 and (towards >= 0.5).all() and (towards < 0.8).any()
+    assert (every.T_obj_ee[:, :3, 2] @ down < 0.5).any()
+    assert not (every.T_obj_ee[:, None, :3, :3] == found.T_obj_ee[None, :, :3, :3]).all((2, 3)).any()
+    stored = _stored()["hammer/T_obj_ee"]
+    assert not np.isclose(stored[:, None, :3, :3], found.T_obj_ee[None, :, :3, :3], atol=1e-6).all((2, 3)).any()
+    for T, width in zip(found.T_obj_ee[::6], found.width[::6], strict=True):
+        assert _distance(_in_ee(model, T), ROBOT.open_gap_m, moving_only=False) > 1e-3 - BAND
+        assert 0 < width <= ROBOT.open_gap_m - 0.003 + 1e-6

@@ -170,7 +170,11 @@ def test_answers_come_back_to_their_own_trials_whatever_the_order_and_the_batch(
         ("def predict(seen):\n    return 3\n", "its answer is a int; it must be (T_world_grasp, T_world_ee)"),
         (
             "def predict(seen):\n    return [[1.0]], [[1.0]]\n",
-            "T_world_grasp is a list (); it must be numbers (8, 4, 4)",
+            "T_world_grasp is torch.float64 (1, 1); it must be a tensor (8, 4, 4) of torch.float32 or torch.float64",
+        ),
+        (
+            "def predict(seen):\n    return seen.known.mesh\n",
+            "seen.known is None: the objects' models are not told, give --sees RIG,model=known",
         ),
         ("def predict(seen):\n    raise KeyError('x')\n", "KeyError: 'x' ("),
         ("def predict(seen):\n    raise SystemExit(4)\n", "SystemExit: 4 ("),
@@ -182,6 +186,49 @@ def test_what_a_method_does_wrong_is_said_in_one_line(text, words, tmp_path):
     with pytest.raises(UserError) as refused:
         Apart(method(tmp_path, text), {}, 1).ask(view())
     assert words in str(refused.value) and "\n" not in str(refused.value)
+
+
+ANSWERS = """
+import torch
+
+ANSWERS = [
+    lambda T: (T[1:], T[1:]),
+    lambda T: (T, None),
+    lambda T: (T.to(torch.complex64), T),
+    lambda T: (T, T.numpy().astype(complex)),
+    lambda T: (T.numpy().astype(str), T),
+    lambda T: (T.half(), T),
+    lambda T: (T.to_sparse(), T),
+    lambda T: None.mesh_of,
+    lambda T: (T.requires_grad_(), T.long().tolist()),
+]
+
+def predict(seen):
+    return ANSWERS.pop(0)(torch.eye(4).repeat(len(seen), 1, 1))
+"""
+
+
+def test_what_is_no_real_numbers_of_the_right_shape_is_refused_and_the_process_answers_on(tmp_path):
+    apart = Apart(method(tmp_path, ANSWERS), {}, 1)
+    for words in each(
+        (
+            "T_world_grasp is torch.float32 (7, 4, 4); it must be a tensor (8, 4, 4) of torch.float32 or torch.float64",
+            "T_world_ee is None; it must be",
+            # NumPy would take their real parts, and read texts
+            "T_world_grasp is torch.complex64; it must be",
+            "T_world_ee is a ndarray of shape (8, 4, 4) and type complex128; it must be",
+            "T_world_grasp is a ndarray of shape (8, 4, 4) and type <U",
+            "T_world_grasp is torch.float16; it must be",
+            "T_world_grasp is a tensor of layout sparse_coo; it must be",
+            "AttributeError: 'NoneType' object has no attribute 'mesh_of' (",
+        )
+    ):
+        with pytest.raises(UserError) as refused:
+            apart.ask(view())
+        said = str(refused.value)
+        assert words in said and "\n" not in said and "model=known" not in said
+    grasp, handover, _ = apart.ask(view())
+    assert torch.equal(grasp, torch.eye(4, dtype=torch.float64).repeat(8, 1, 1)) and torch.equal(handover, grasp)
 
 
 WRITES = """

@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from made_runs import made_trials, make_header, make_scores, store, write_run
+from made_runs import made_trials, make_header, make_scores, store, write_run, write_side
 
 from r2h_batch.report.people import people_lines, served
 from r2h_batch.report.transfers import MADE_OF
@@ -81,8 +81,7 @@ def stored_later(run: Run) -> None:
         "evaluated": [True] * 5 + [False],
         "received": [True, False, True, True, False, False],
     }
-    (entry.folder / "reception").mkdir()
-    pq.write_table(pa.table(columns), entry.folder / "reception" / f"{entry.slug}.parquet")
+    write_side(entry.folder / "reception" / f"{entry.slug}.parquet", pa.table(columns))
     entry = run.entry("b")
     stored = run.trials("b", ["trial_id", "outcome"]).to_pylist()
     won = {r["trial_id"]: r["outcome"] == "success" for r in stored}
@@ -95,10 +94,8 @@ def stored_later(run: Run) -> None:
         "received": [True] * 7,
         "outcome": ["taken", "taken", "taken", "dropped", "dropped", "dropped", "dropped"],
     }
-    about = {MADE_OF: json.dumps({"rows": run.digest("b")}).encode()}
-    (entry.folder / "transfer").mkdir()
-    table = pa.table(rows).replace_schema_metadata(about)
-    pq.write_table(table, entry.folder / "transfer" / f"{entry.slug}.parquet")
+    path = entry.folder / "transfer" / f"{entry.slug}.parquet"
+    write_side(path, pa.table(rows), {MADE_OF: {"rows": run.digest("b")}})
 
 
 def test_received_and_taken_are_counted_by_people_where_they_are_stored(run: Run) -> None:
@@ -122,8 +119,7 @@ def test_reception_and_transfers_of_other_rows_are_left_out(run: Run) -> None:
     path = run.entry("a").folder / "reception" / f"{run.entry('a').slug}.parquet"
     table = pq.read_table(path)
     other = pa.array([False, True, True, False, False, True])
-    pq.write_table(table.set_column(1, "success", other), path)
+    write_side(path, table.set_column(1, "success", other))
     path = run.entry("b").folder / "transfer" / f"{run.entry('b').slug}.parquet"
-    table = pq.read_table(path)
-    pq.write_table(table.replace_schema_metadata({MADE_OF: json.dumps({"rows": "0"}).encode()}), path)
+    write_side(path, pq.read_table(path), {MADE_OF: {"rows": "0"}})
     assert served(run).later == {}

@@ -1,6 +1,5 @@
 """Files beside the shards, as a stranger may write them: bounded and of the run's trials, or one line."""
 
-import json
 import os
 import shutil
 
@@ -8,10 +7,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_runs import with_a_fatal_footer, write_run
+from made_runs import with_a_fatal_footer, write_run, write_side
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.transfers import MADE_OF, takes_of
+from r2h_batch.runs.side import is_kept, side_writer
 from r2h_batch.runs.store import load_run
 
 N = 6
@@ -42,13 +42,9 @@ def run(good, tmp_path):
     return shutil.copytree(good, tmp_path / "run")
 
 
-def put(run, rows, **options):
+def put(run, rows):
     """Stores rows as the transfers of the run's method, made of its rows as they say."""
-    about = json.dumps({"rows": load_run(run).digest("m")}).encode()
-    path = run / "transfer" / "m.parquet"
-    path.parent.mkdir(exist_ok=True)
-    pq.write_table(rows.replace_schema_metadata({MADE_OF: about}), path, **options)
-    return path
+    return write_side(run / "transfer" / "m.parquet", rows, {MADE_OF: {"rows": load_run(run).digest("m")}})
 
 
 def repeated(rows, times):
@@ -68,6 +64,10 @@ HOSTILE = {
     "a column missing": (lambda: table(outcome=None), "column 'outcome' is missing"),
     "a column of numbers": (lambda: table(outcome=pa.array(range(N))), "column 'outcome' is int64; it must be string"),
     "gaps": (lambda: table(received=pa.array([None] * N, pa.bool_())), "column 'received' has 6 empty rows"),
+    "taken, and not received": (
+        lambda: table(received=pa.array([True] * 4 + [False] * 2)),
+        "trial 4 is taken, and not received",
+    ),
     "long words": (lambda: table(release=pa.array(["x" * (4 << 20)] * N)), "a word of 4194304 characters; at most"),
 }
 
@@ -75,7 +75,7 @@ HOSTILE = {
 @pytest.mark.parametrize("what", HOSTILE)
 def test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside(run, what, capsys):
     make, words = HOSTILE[what]
-    path = put(run, make(), use_dictionary=True)
+    path = put(run, make())
     assert main(["report", str(run)]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.count("\n") == 1
@@ -83,6 +83,66 @@ def test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside(run, w
     assert main(["results", "verify", str(run)]) == 1
     assert f"{path}: " in capsys.readouterr().out and not path.exists() and path.with_name("m.parquet.bad").exists()
     assert main(["report", str(run)]) == 0
+
+
+def edited(path, change, keep):
+    """Another program reads a file and writes it again, with the whole footer (`keep`) or with what it knows of it."""
+    rows, footer = pq.read_table(path), pq.read_metadata(path).metadata
+    own = {k: v for k, v in footer.items() if k != b"ARROW:schema"} if keep else rows.schema.metadata
+    changed = change(rows)
+    pq.write_table(changed.replace_schema_metadata(own), path)
+
+
+EDITS = {
+    "a number": lambda t: t.set_column(t.column_names.index("slip_m"), "slip_m", pa.array([0.0] * N, pa.float32())),
+    "a word": lambda t: t.set_column(t.column_names.index("outcome"), "outcome", pa.array(["taken"] * N)),
+    "a column less, which no table reads": lambda t: t.drop_columns(["slip_m"]),
+    "a column more": lambda t: t.append_column("share", pa.array([1.0] * N)),
+    "rows less": lambda t: t.slice(0, 3),
+    "no rows": lambda t: t.slice(0, 0),
+    "rows in another order": lambda t: t.take(list(range(N))[::-1]),
+    "numbers of another size": lambda t: t.set_column(
+        t.column_names.index("slip_m"), "slip_m", t["slip_m"].cast("double")
+    ),
+    "the same bits as another type": lambda t: t.set_column(
+        t.column_names.index("slip_m"), "slip_m", t["slip_m"].combine_chunks().view(pa.int32())
+    ),
+    "gaps filled": lambda t: t.set_column(t.column_names.index("slip_m"), "slip_m", t["slip_m"].fill_null(0.0)),
+    "not a number": lambda t: t.set_column(
+        t.column_names.index("slip_m"), "slip_m", pa.array([float("nan")] * N, pa.float32())
+    ),
+}
+
+
+@pytest.mark.parametrize("keep", [True, False])
+@pytest.mark.parametrize("what", EDITS)
+def test_a_file_that_was_edited_is_one_line_and_verify_sets_it_aside(run, what, keep, capsys):
+    slips = pa.array([0.001, 0.002, None, 0.0, 0.004, 0.005], pa.float32())
+    path = put(run, table(outcome=pa.array(["dropped"] * N), slip_m=slips))
+    assert main(["report", str(run)]) == 0
+    edited(path, EDITS[what], keep)
+    capsys.readouterr()
+    assert main(["report", str(run)]) == 2
+    captured = capsys.readouterr()
+    words = (
+        "its columns are not those that were written" if keep else "has no digest of its columns: an older version or"
+    )
+    assert captured.out == "" and captured.err.count("\n") == 1 and f"{path}: {words}" in captured.err
+    assert main(["results", "verify", str(run)]) == 1
+    assert words in capsys.readouterr().out and not path.exists()
+    assert main(["report", str(run)]) == 0
+
+
+@pytest.mark.parametrize("size", [1, 2, 5])
+def test_the_digest_does_not_depend_on_how_many_rows_come_at_once(run, size):
+    rows = table(outcome=pa.array(["taken", "dropped"] * 3), slip_m=pa.array([0.1, None] * 3, pa.float32()))
+    path = run / "transfer" / "m.parquet"
+    with side_writer(path, rows.schema, {MADE_OF: {"rows": load_run(run).digest("m")}}) as writer:
+        for k in range(0, N, size):
+            writer.write(rows.slice(k, size))
+    assert pq.ParquetFile(path).num_row_groups == -(-N // size)
+    assert is_kept(path, rows.schema, N) and not is_kept(path, rows.schema.remove(0), N)
+    assert takes_of(load_run(run), "m")["outcome"].tolist() == ["taken", "dropped"] * 3
 
 
 @pytest.mark.usefixtures("own_process")

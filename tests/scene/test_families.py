@@ -188,7 +188,7 @@ def test_a_paper_cup_weighs_what_its_board_weighs():
         ("families:mug x 3", "'mug', did you mean cup?"),
         ("families:cup_07", "CATEGORY is * or of game_controller"),
         ("families:", "no family is called ''; there are"),
-        ("families:cup y 3", "write families:CATEGORY"),
+        ("families:cup y 3", "'families:cup y 3' names no families; write families:CATEGORY"),
         ("families:cup,cup", "stands twice"),
         ("families:cup x 0", "x 0 of one family is 0 objects; at most 1,000 are allowed, so write x 1 to x 1000"),
         ("families:* x 100", "x 100 of 16 families is 1,600 objects; at most 1,000 are allowed, so write x 1 to x 62"),
@@ -198,7 +198,7 @@ def test_a_paper_cup_weighs_what_its_board_weighs():
 def test_what_names_no_family_or_too_many_is_refused_in_one_line(text, said):
     with pytest.raises(FileError, match=re.escape(said)) as caught:
         family_objects(text)
-    assert "\n" not in str(caught.value)
+    assert "\n" not in str(caught.value) and str(caught.value).startswith("--objects: ")
 
 
 def test_ls_refuses_a_second_word_that_it_would_not_read(capsys):

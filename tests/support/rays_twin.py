@@ -131,3 +131,51 @@ def expected(scene, trials, T_world_obj, i, K, T_world_camera, column, row):
         best.append((march(origin, direction, distance), LABELS.index(name)))
     t, label = min(best)
     return (t / length, label) if np.isfinite(t) and t < 4.0 else (0.0, 0)
+
+
+def depth_of_bodies(receiver, table, eye, rays):
+    """Depths by label of table, arm and torso in closed form, float64; inf: nothing.
+
+    Args:
+        receiver: (5, 4) a row of `Trials.receiver`.
+        table: its centre and half sizes, m.
+        eye: (3,) the camera's centre, m.
+        rays: (..., 3) directions in the world of one metre of depth.
+    """
+    s, e, w, m, half = receiver.astype(np.float64)
+    turn = np.array([[m[3], half[3], 0], [-half[3], m[3], 0], [0, 0, 1]])
+    center, size = (np.array(x) for x in table)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return {
+            "table": _box(eye - center, rays, size),
+            "forearm": _capsule(eye, rays, e[:3], w[:3], e[3]),
+            "upper_arm": _capsule(eye, rays, s[:3], e[:3], s[3]),
+            "torso": _box(turn @ (eye - m[:3]), rays @ turn.T, half[:3]),
+        }
+
+
+def _box(eye, rays, half):
+    """Depths of a box about the origin: the last of the planes that face the eye."""
+    a, b = (-half - eye) / rays, (half - eye) / rays
+    begin, end = np.minimum(a, b).max(-1), np.maximum(a, b).min(-1)
+    return np.where((begin <= end) & (begin > 0), begin, np.inf)
+
+
+def _root(a, b, c):
+    """The smaller root of a t^2 + 2 b t + c; inf: none, or behind the eye."""
+    t = (-b - np.sqrt(b * b - a * c)) / a
+    return np.where(t > 0, t, np.inf)
+
+
+def _capsule(eye, rays, a, b, radius):
+    """Depths of the balls about both ends, and of the cylinder between them."""
+    rr = (rays * rays).sum(-1)
+    t = np.minimum(*(_root(rr, rays @ (eye - c), (eye - c) @ (eye - c) - radius**2) for c in (a, b)))
+    along = b - a
+    if not along.any():
+        return t
+    axis = along / np.linalg.norm(along)
+    d, o = (x - np.multiply.outer(x @ axis, axis) for x in (rays, eye - a))
+    side = _root((d * d).sum(-1), d @ o, o @ o - radius**2)
+    place = (eye - a) @ axis + np.where(np.isfinite(side), side, 0) * (rays @ axis)
+    return np.minimum(t, np.where((place > 0) & (place < np.linalg.norm(along)), side, np.inf))

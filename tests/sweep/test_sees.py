@@ -43,6 +43,16 @@ def predict(seen, *, seed=0):
     T[:, 0, 3], T[:, 1, 3] = mask.sum(1) / 1000, region.sum(1) / 1000
     return T, T
 """
+ODD = GRAB.replace(
+    "    return T, H",
+    """
+    T[0, 0, 0] = float("nan")
+    T[1, :3, :3] *= 2
+    H[2, :3, 0] *= -1
+    H[3, 0, 3] = float("inf")
+    return T.double().numpy(), H.tolist()
+""",
+)
 KNOWS = """
 import torch
 
@@ -58,7 +68,7 @@ def predict(seen):
 @pytest.fixture(scope="module")
 def methods(tmp_path_factory):
     folder = tmp_path_factory.mktemp("methods")
-    for name, text in (("grab", GRAB), ("knows", KNOWS), ("told", TOLD)):
+    for name, text in (("grab", GRAB), ("knows", KNOWS), ("told", TOLD), ("odd", ODD)):
         (folder / f"{name}.py").write_text(text)
     (folder / "blind.py").write_text("def predict(trials, scene):\n    return None\n")
     return folder
@@ -103,6 +113,17 @@ def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_s
     assert [line["pick"] for line in lines if line["split"] == "Avg"] == ["n/a"]
     assert float(lines[0]["pick"]) == pytest.approx(rows["S0"].percent)
     assert "| Pick posture |" in render(table_of(run), "md").replace("  ", " ")
+
+
+def test_poses_that_are_not_finite_or_not_rigid_are_invalid_rows_and_the_others_are_judged_as_ever(
+    run, methods, tmp_path
+):
+    done = swept(methods, tmp_path / "odd", method="odd")
+    assert done.returncode == 0 and "Traceback" not in done.stderr
+    found, right = (r.trials(r.methods[0]) for r in (load_run(tmp_path / "odd"), run))
+    pairs = list(zip(found["outcome"].to_pylist(), right["outcome"].to_pylist(), strict=True))
+    assert sum(a == "invalid_input" for a, _ in pairs) == 4
+    assert all(a == b for a, b in each(pair for pair in pairs if pair[0] != "invalid_input"))
 
 
 def test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment(methods, tmp_path):

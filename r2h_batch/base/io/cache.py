@@ -132,8 +132,10 @@ def cached(
         found = _read(path, seal, specs, reads)  # another process may have made it meanwhile
         if found is None:
             found = dict(make())
-            with contextlib.suppress(OSError):
+            try:
                 write_npz(path, {**found, SEAL: np.array(f"{seal} {_sha256(found)}")})
+            except OSError as error:  # a full disk too
+                _warn_useless(str(folder), error.strerror or str(error))
         return found
 
 

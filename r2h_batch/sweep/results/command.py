@@ -33,9 +33,9 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (held, reception, transfer, viewed) that are too large, or of other trials, are set aside. The last
-    line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will score
-    some shards again, or a file was set aside.
+    Files beside the shards (held, reception, transfer, viewed) that are too large, of other trials, or not as they were written
+    are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1:
+    the same sweep will score some shards again, or a file was set aside.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -58,7 +58,7 @@ def verify(folder: Path, /) -> int:
 
 
 def _strange_side_files(run: "Run") -> list[str]:
-    """Sets aside the files beside the shards that are of other trials or successes; one line for each."""
+    """Sets aside the files beside the shards that tables refuse; one line for each."""
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.side import side_files
     from r2h_batch.runs.verify import Problem, set_aside

@@ -1,6 +1,5 @@
 """Objects of a stored run that the closed gripper holds: after closing, and under their weight (`results held`)."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.write import atomic_path
 from r2h_batch.closed_loop.transfer.cases import Processes, Simulator, processes
 from r2h_batch.closed_loop.transfer.handed import gripped_of
 from r2h_batch.closed_loop.transfer.held import NEAR_M, Lost
@@ -20,7 +18,7 @@ from r2h_batch.judge.grasp_physics import DROPPED_M, TORSION_M
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
-from r2h_batch.runs.side import about_side, side_path, unbounded
+from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -87,18 +85,14 @@ def write_tables(
         for name in names:
             path = written[name] = side_path(run.entry(name), FOLDER, own)
             made_of = {"rows": run.digest(name), "code": code}
-            if about_side(path, MADE_OF) == made_of and not (
-                unbounded(path, len(run.trials(name, ["trial_id"])))
-                or pq.read_schema(path) != SCHEMA
-            ):
+            trials = len(run.trials(name, ["trial_id"]))
+            if about_side(path, MADE_OF) == made_of and is_kept(path, SCHEMA, trials):
                 LOG.info(f"{name}: {path} has these rows")
                 continue
             rows = _rows(run, name, judge, simulated)
-            schema = SCHEMA.with_metadata({MADE_OF: json.dumps(made_of).encode()})
-            path.parent.mkdir(exist_ok=True)
-            with atomic_path(path) as new, pq.ParquetWriter(new, schema) as writer:
+            with side_writer(path, SCHEMA, {MADE_OF: made_of}) as writer:
                 for table in rows:
-                    writer.write_table(table.replace_schema_metadata(schema.metadata))
+                    writer.write(table)
     return written
 
 

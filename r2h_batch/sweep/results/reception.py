@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 import torch
 
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.runs.files import RunError
+from r2h_batch.runs.side import side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reevaluation import Judge, check_poses
 from r2h_batch.types import Scores
@@ -224,9 +223,8 @@ def rows_of(trial_id: np.ndarray, scores: Scores, success: Mapping[int, bool]) -
 
 def write(path: Path, table: pa.Table) -> None:
     """Writes the table as Parquet, in one step."""
-    path.parent.mkdir(exist_ok=True)
-    with atomic_path(path) as new:
-        pq.write_table(table, new)
+    with side_writer(path, table.schema) as writer:
+        writer.write(table)
 
 
 def render(tables: dict[str, pa.Table]) -> str:

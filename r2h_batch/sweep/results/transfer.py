@@ -1,6 +1,5 @@
 """The transfer of a stored run: what happens after the arm stands still (`results transfer`)."""
 
-import json
 from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
@@ -12,7 +11,6 @@ import pyarrow.parquet as pq
 
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.registry import ENGINES
 from r2h_batch.closed_loop.transfer.cases import (
     Case,
@@ -33,7 +31,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.report.transfers import FOLDER, MADE_OF
-from r2h_batch.runs.side import about_side, side_path, unbounded
+from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
@@ -168,11 +166,11 @@ class Stored:
 
     @staticmethod
     def read(path: Path, made_of: dict[str, Any], trials: int) -> "Stored":
-        """The cases of a file, none if it is missing, was made of other rows or by other code, or is larger than so many
-        trials need."""
+        """The cases of a file, none if it is missing, was made of other rows or by other code, or is not as it was
+        written."""
         about = about_side(path, MADE_OF)
         same = about and {k: about.get(k) for k in made_of} == made_of
-        if not same or unbounded(path, trials) or pq.read_schema(path) != SCHEMA:
+        if not same or not is_kept(path, SCHEMA, trials):
             return Stored(path, {})
         try:
             cases = {Case(*c): str(text) for *c, text in about["cases"]}
@@ -202,13 +200,11 @@ def _write(
 ) -> None:
     """Writes a file in one step: what is stored, and the new rows as they come."""
     about = made_of | {"cases": [[*case, text] for case, text in policies.items()]}
-    schema = SCHEMA.with_metadata({MADE_OF: json.dumps(about).encode()})
-    path.parent.mkdir(exist_ok=True)
-    with atomic_path(path) as new, pq.ParquetWriter(new, schema) as writer:
+    with side_writer(path, SCHEMA, {MADE_OF: about}) as writer:
         for table in stored.rows(todo):
-            writer.write_table(table.replace_schema_metadata(schema.metadata))
+            writer.write(table)
         for table in rows:
-            writer.write_table(table.replace_schema_metadata(schema.metadata))
+            writer.write(table)
 
 
 def _with_progress(

@@ -1,6 +1,5 @@
 """How much of the part that the receiver wants the receiver's eyes see at the handover (`results viewed`)."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import torch
 from r2h_batch.base import se3
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.observe.eyes import view
@@ -20,7 +18,7 @@ from r2h_batch.observe.seen import LABELS
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.report.viewed import FOLDER, MADE_OF, mean_share
-from r2h_batch.runs.side import about_side, side_path, unbounded
+from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
@@ -75,16 +73,13 @@ def write_tables(run: Run, benchmark: BenchmarkChoice, *, device: str) -> dict[s
     for name in names:
         path = written[name] = side_path(run.entry(name), FOLDER)
         made_of = {"rows": run.digest(name), "code": code, "device": device[:3]}
-        if about_side(path, MADE_OF) == made_of and not (
-            unbounded(path, len(run.trials(name, ["trial_id"]))) or pq.read_schema(path) != SCHEMA
-        ):
+        trials = len(run.trials(name, ["trial_id"]))
+        if about_side(path, MADE_OF) == made_of and is_kept(path, SCHEMA, trials):
             LOG.info(f"{name}: {path} has these rows")
             continue
-        schema = SCHEMA.with_metadata({MADE_OF: json.dumps(made_of).encode()})
-        path.parent.mkdir(exist_ok=True)
-        with atomic_path(path) as new, pq.ParquetWriter(new, schema) as writer:
+        with side_writer(path, SCHEMA, {MADE_OF: made_of}) as writer:
             for table in _tables(run, name, judge):
-                writer.write_table(table.replace_schema_metadata(schema.metadata))
+                writer.write(table)
     return written
 
 
