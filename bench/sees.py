@@ -103,7 +103,7 @@ COST = """
 CPU seconds of a trial, looking and judging included, for {cost_trials} trials beyond the first ones. Each method is a sweep of
 its own. The first row is the believed world: its solid, grasps and the hands that hold it. It is made once for all methods of a
 process. The hands are half of it; the searches, random and the example do not ask for them. The example's own process does not
-count.
+count. A figure is the difference of two sweeps: below {resolved} s it says nothing.
 
 {costs}
 """
@@ -128,6 +128,8 @@ COSTS = ("the truth", HIDDEN, "one post", "two posts, model known, pose as `lab`
 """Sights whose cost is measured; the others cost what two posts do."""
 FEW, MORE = 2, 12
 """Trials a split of two sweeps. The difference is the cost of a trial, without that of a sweep's start."""
+RESOLVED_S = 0.03
+"""Two sweeps of the same trials differ by as much."""
 WORLD = "solid, grasps, hands"
 
 
@@ -286,7 +288,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         told = REGION.format(table=_told_table(shown[HIDDEN], shown[TOLD]))
     cost = ""
     if "cost" in data:
-        cost = COST.format(cost_trials=2 * (MORE - FEW), costs=_cost_table(data["cost"]))
+        cost = COST.format(cost_trials=2 * (MORE - FEW), costs=_cost_table(data["cost"]), resolved=RESOLVED_S)
 
     def half(fewer: bool) -> float:
         """Half of the widest interval of the sights with fewer trials, or of the others; points."""
@@ -315,7 +317,11 @@ def markdown(data: Mapping[str, Any]) -> str:
 
 def _cost_table(cost: Mapping[str, Mapping[str, float]]) -> str:
     """A row for each method, a column for each sight."""
-    lines = [[name, *(f"{of[name]:.2f}" if name in of else "" for of in cost.values())] for name in (WORLD, *METHODS)]
+
+    def say(seconds: float | None) -> str:
+        return "" if seconds is None else f"{seconds:.2f}" if seconds >= RESOLVED_S else f"< {RESOLVED_S}"
+
+    lines = [[name, *(say(of.get(name)) for of in cost.values())] for name in (WORLD, *METHODS)]
     return markdown_table(["", *cost], lines)
 
 

@@ -57,7 +57,6 @@ BOUND = """The robust search less the best published rule ({best}), paired by tr
 {low:+.1f} to {high:+.1f} (Tango 1998; asked: at least 15).
 
 """
-LEAST_POINTS = 15
 BELIEVED = """Why Pick and Plan fail, trials. What collides on the path, and motions in collision, were free as planned, and met
 something in truth.
 
@@ -69,7 +68,7 @@ presented:
 {rooms}
 
 """
-FEW = """trials a split of the seeing track: intervals overlap, also that of the robust search and the others'.
+FEW = """The seeing track has {seen_trials} trials a split, and the other track {trials}.
 - """
 MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
 alone.
@@ -406,7 +405,7 @@ def markdown(data: Any) -> str:
         for k, m in seen_outcomes.items()
     ]
     failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
-    bound, few = _bound_of(data, sighted)
+    bound = _bound_of(data, sighted)
     cost += [
         ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
         ["the pose stage with Pick", f"{ms['pose']:.3f}"],
@@ -439,7 +438,7 @@ def markdown(data: Any) -> str:
         load=data["hardware"]["load_at_start"],
         stages=markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
         bound=bound,
-        few=few,
+        few=FEW.format(**data) if data["seen_trials"] < data["trials"] else "",
         more_cost=more_cost,
         idle=", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
         sees=SEES,
@@ -490,8 +489,8 @@ def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str
     )
 
 
-def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, str]:
-    """The robust search less the best published rule on the same trials, and what is missing if that is not decided."""
+def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> str:
+    """The robust search less the best published rule on the same trials."""
     from r2h_batch.report.statistics.intervals import paired_score_interval
 
     seen = data["seen"]
@@ -500,8 +499,7 @@ def _bound_of(data: Mapping[str, Any], short: Mapping[str, str]) -> tuple[str, s
     pairs = Counter(zip(seen[best]["won"], seen[robust]["won"], strict=True))
     more, less, n = pairs["0", "1"], pairs["1", "0"], len(seen[best]["won"])
     low, high = (100 * x for x in paired_score_interval(more, less, n))
-    words = BOUND.format(best=short[best], points=100 * (more - less) / n, low=low, high=high)
-    return words, "" if low >= LEAST_POINTS else f"More than {data['seen_trials']} {FEW}"
+    return BOUND.format(best=short[best], points=100 * (more - less) / n, low=low, high=high)
 
 
 def certified_trials() -> tuple[Any, list[str]]:
