@@ -27,7 +27,7 @@ R2H_FUNCTION void put(unsigned int *p, words x) { *p = x; }
 R2H_FUNCTION int philox_blocks() { return 1; }
 #endif
 
-// The blocks of (trial; first_pixel + k, purpose). Word w of block k is out[8 w + k].
+// The blocks of (trial; first_pixel + k, purpose). Entry (w, k) of the matrix is word w of block k.
 template <typename Words>
 R2H_FUNCTION Words philox(unsigned int key_0, unsigned int key_1, long long trial, int first_pixel, unsigned int purpose) {
     const bits64 low = 0xFFFFFFFFull;

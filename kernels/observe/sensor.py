@@ -43,8 +43,7 @@ class Sensor:
 
 @wp.func_native("return r2h::philox<wp::mat_t<4, 8, wp::uint32>>(key_0, key_1, trial, first_pixel, purpose);")
 def draw(key_0: wp.uint32, key_1: wp.uint32, trial: wp.int64, first_pixel: int, purpose: wp.uint32) -> Words:
-    """Writes random words of `blocks()` pixels, the first of them and those that follow it: word w of pixel k is entry 8 w + k
-    of 32."""
+    """Random words of `blocks()` neighbouring pixels: entry (w, k) is word w of pixel `first_pixel` + k."""
     ...
 
 
