@@ -2224,6 +2224,27 @@ MUTATIONS = (
         ("tests/methods/test_from_the_table.py::test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side",),
     ),
     Mutation(
+        "robust: a pair that has not won yet is given up",
+        "r2h_batch/methods/robust.py",
+        "(held + left > beyond)",
+        "(held > beyond)",
+        (f"{T_ROBUST}::test_pairs_that_can_exceed_their_rivals_are_counted_to_the_end_and_others_are_given_up",),
+    ),
+    Mutation(
+        "robust: hopeless pairs are judged to the end",
+        "r2h_batch/methods/robust.py",
+        "(held + left > beyond)",
+        "(held + left > -1)",
+        (f"{T_ROBUST}::test_a_pair_that_can_no_longer_win_is_not_judged_to_the_end_and_no_answer_changes",),
+    ),
+    Mutation(
+        "robust: grasps from above are those of another side",
+        "r2h_batch/methods/robust.py",
+        "(x, y, z))\n    spare_m",
+        "(0.0, 0.0, 1.0))\n    spare_m",
+        ("tests/methods/test_from_the_table.py::test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side",),
+    ),
+    Mutation(
         "robust: candidates with spare margins come last",
         "r2h_batch/methods/robust.py",
         "np.where(place < spare[:, None], 0, 1)",
