@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def searched(judge: Any, own: Any, k: int) -> dict[str, Any]:
-    """What a search with grasps from above finds for trials of one object."""
+    """Figures of a search with grasps from above, for trials of one object."""
     from r2h_batch.methods import oracle
     from r2h_batch.methods.from_table import BACKS, PickedGrasps, picked_grasps
     from r2h_batch.methods.grasps import NoGraspError, sample_grasps
