@@ -196,7 +196,7 @@ class Table:
 
     @property
     def new(self) -> str:
-        """What a prediction interval is about."""
+        """The things that a prediction interval is about, in words."""
         return "new categories" if self.families else "new objects"
 
     @property
@@ -525,11 +525,18 @@ def _counts(row: Row) -> list[str]:
 
 
 def brief(table: Table) -> str:
-    """What a sweep prints: success and first failures, then where the rows come from and what must be known about them.
+    """The short table that a sweep prints: success and first failures, where the rows come from, what must be known about them.
     `render` has the other intervals, counts, times and shares with their notes."""
     rates = [c for c in table.headings if c not in TIMES and c != "sr"]
     short = short_names([row.method for row in table.rows])
-    head = ["Split", "Method", "SR", "95 %", f"{table.few} new", *map(table.headings.get, rates)]
+    head = [
+        "Split",
+        "Method",
+        "SR",
+        "95 %",
+        f"{table.few} new",
+        *(table.headings[c] for c in rates),
+    ]
     lines = [
         [
             *(row.split, plain(short[row.method]) + table.mark(row), cell(row, "sr")),
