@@ -154,7 +154,7 @@ def pose_hint(
     if rows is None:
         return None
     given = (T_obj_ee[rows], T_world_ee[rows])
-    T_flange_ee = torch.as_tensor(scene.robot.T_flange_ee)
+    T_flange_ee = torch.from_numpy(np.array(scene.robot.T_flange_ee))  # a copy: it is read-only
     others = other_poses(*given, trials.T_world_hand[rows], T_flange_ee)
     if resting is not None:
         there = se3.inverse(resting(trials[rows]).to(given[0]))
