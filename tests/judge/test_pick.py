@@ -17,11 +17,12 @@ from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.fingers_way import fingers_way, gripper_radii
 from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.least import least_along
-from r2h_batch.judge.pick import ROWS, Picked, PickReason, fingers_way, gripper_radii, picked
+from r2h_batch.judge.pick import ROWS, Picked, PickReason, picked
 from r2h_batch.judge.plan import path_clearances
 from r2h_batch.judge.straight_way import MOST_OFF_M, STEPS, gripper_lever_m, resampled, straight_ways
 from r2h_batch.kernels.plan.line import follow_lines
