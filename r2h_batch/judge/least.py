@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-TOLERANCE_M = 1e-4
-"""How exact the smallest clearance is: this, or a tenth of it if that is more."""
+TOLERANCE_M, SHARE = 1e-4, 0.1
+"""How exact the smallest clearance is: this, or this share of it if that is more."""
 LEVELS = 16
 """Halvings at most: the parts of a way of 10 cm are below the tolerance after seven."""
 
@@ -63,7 +63,7 @@ def least_along(
         first = torch.full_like(where, torch.inf).scatter_reduce(0, row, at, "amin")
         where = torch.where(lower < best, first, where)
         best = lower
-        allowed = torch.clamp(0.1 * best.abs(), min=TOLERANCE_M)[row]
+        allowed = torch.clamp(SHARE * best.abs(), min=TOLERANCE_M)[row]
         bound = found - travel(row, low, middle, high)
         if floor is not None:
             bound = torch.maximum(bound, floor(row, low, high))

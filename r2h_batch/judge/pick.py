@@ -21,11 +21,11 @@ from r2h_batch.judge.grasp import (
     Grasp,
     attach,
     close_gripper,
-    open_clearance,
+    way_in_clearance,
 )
 from r2h_batch.judge.ik import home_posture, solve_ik
 from r2h_batch.judge.inputs import check_benchmark, check_indices, check_receiver, checked_inputs
-from r2h_batch.judge.least import least_along
+from r2h_batch.judge.least import SHARE, TOLERANCE_M, least_along
 from r2h_batch.judge.plan import Plan, path_clearances, plan_paths, random_key
 from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight_ways
 from r2h_batch.kernels.judge.rows import usable_rows
@@ -36,8 +36,6 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 from r2h_batch.verdicts import PickReason
 
-OBJECT_PARTS = 16
-"""Parts of the straight way in that are measured first."""
 FAR_FROM_M = 0.002
 """A path that the planner measured this much farther from everything than the cap is not measured again: it is exact
 to a tenth."""
@@ -234,6 +232,14 @@ class _Tried:
             slot=whole((b,), -1),
         )
 
+    def found(self) -> _Nearest:
+        """(B,) The nearest along both ways of the branch that passes and along the path to it."""
+        slot = self.slot.clamp(min=0).long()
+        nearest = self.approach.at(slot).nearer(self.lift.at(slot)).nearer(self.way)
+        cap = _margin(torch.full_like(nearest.clearance_m, CUT_CAP_M))
+        passes = self.slot >= 0
+        return _Nearest(*(torch.where(passes, x, y) for x, y in zip(nearest, cap, strict=True)))
+
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
@@ -356,7 +362,7 @@ class _Batch:
         stages.fail(touching.clearance_m <= 0, PickReason.GRASP_COLLIDES, touching)
         approach = self._approach(every, planned.way_in, depths=True)
         stages.fail(approach.clearance_m <= 0, PickReason.APPROACH_COLLIDES, approach)
-        entered = self._entered(stages.left)
+        entered = self._entered(stages.left, touching.nearer(approach).clearance_m)
         stages.fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
         grasp = self._grasp
         held = _margin(grasp.margin_m)
@@ -389,11 +395,13 @@ class _Batch:
         walked = tried.approach.clearance_m > 0
         blocked, least_bad = self._blocked_approach(tried, stages.left & ~walked.any(1))
         fail(~walked.any(1), PickReason.APPROACH_COLLIDES, blocked)
-        entered = self._entered(stages.left)
+        held = _margin(grasp.margin_m)
+        # a finger beside the object mostly decides both: this stage can name it
+        known_m = torch.minimum(grasp.margin_m + TOLERANCE_M, tried.found().clearance_m)
+        entered = self._entered(stages.left, known_m)
         fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
 
         # close
-        held = _margin(grasp.margin_m)
         fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
         fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
         closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], stages.left)
@@ -631,29 +639,20 @@ class _Batch:
             out.put((rows,), _deeper(met, _Nearest(*(x[rows] for x in tried.lift.at(slot)))))
         return out
 
-    def _entered(self, left: Tensor) -> _Nearest:
-        """Smallest clearances (B,) of the open gripper from the object's solid on the straight way in."""
-        scene, back = self.scene, self.T_obj_ee[:, :3, 2]
-
-        def at(row: Tensor, s: Tensor, cap_m: float) -> tuple[Tensor, Tensor]:
-            T = self.T_obj_ee[row]
-            T[:, :3, 3] -= (WAY_M * (1 - s))[:, None] * back[row]
-            return open_clearance(
-                scene.grasp_tables, T.contiguous(), self.objects[row], cap_m=cap_m, known=True
-            )
-
-        def travel(row: Tensor, low: Tensor, middle: Tensor, high: Tensor) -> Tensor:
-            return WAY_M * torch.maximum(middle - low, high - middle)
-
-        cap = CUT_CAP_M + 0.5 * WAY_M / OBJECT_PARTS
+    def _entered(self, left: Tensor, known_m: Tensor) -> _Nearest:
+        """Smallest clearances (B,) of the open gripper from the object's solid on the straight way in, where they are below what
+        is `known_m` (B,) to be as near."""
+        out = _margin(torch.full_like(known_m, CUT_CAP_M)).of(CollidingPair.OBJECT_ROBOT)
         rows = torch.nonzero(left).flatten()
-        best, where = least_along(
-            lambda row, s: at(row, s, cap)[0], travel, rows, len(left), parts=OBJECT_PARTS, cap_m=CUT_CAP_M
+        clearance, witness = way_in_clearance(
+            self.scene.grasp_tables, self.T_obj_ee[rows], self.objects[rows], known_m[rows].clamp(0, CUT_CAP_M),
+            way_m=WAY_M, tolerance_m=TOLERANCE_M, share=SHARE,
         )  # fmt: skip
-        body = torch.full_like(self.objects, -1)
-        witness = at(rows, where[rows], cap)[1]
-        body[rows] = torch.where(witness < 0, -1, witness + len(scene.tables.arm_order))
-        return _margin(best)._replace(body=body).of(CollidingPair.OBJECT_ROBOT)
+        nearer = witness >= 0
+        rows = rows[nearer]
+        out.clearance_m[rows] = clearance[nearer]
+        out.body[rows] = witness[nearer] + len(self.scene.tables.arm_order)
+        return out
 
     def _closing(self, grasp: Grasp, q: Tensor, left: Tensor) -> _Nearest:
         """Smallest clearances (B,) of the gripper from table and person while its fingers close at q; where closing pushes the
