@@ -132,7 +132,6 @@ T_CLOSING, FINGERS = "tests/judge/test_fingers_way.py", "r2h_batch/judge/fingers
 T_WAY_IN = f"{T_CLOSING}::test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it"
 T_HEIGHTS = f"{T_CLOSING}::test_no_closing_finger_is_lower_on_a_part_of_its_way_than_is_said_nor_much_higher"
 T_FLOOR = f"{T_CLOSING}::test_an_interval_whose_floor_is_high_enough_is_not_asked_again"
-T_BESIDE = f"{T_PICK}::test_a_person_beside_closing_fingers_counts"
 T_LEAST = f"{T_CLOSING}::test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions"
 T_RESTING = f"{T_PICK}::test_an_object_that_rests_is_as_far_from_the_robot_as_mujoco_says"
 T_SAMPLED = f"{T_PICK}::test_verdicts_and_margins_are_those_of_sampled_ways"
@@ -353,13 +352,6 @@ MUTATIONS = (
         "grasp.margin_m + TOLERANCE_M, tried.found().clearance_m",
         "grasp.margin_m + TOLERANCE_M, 0.0 * tried.found().clearance_m",
         (T_SAMPLED,),
-    ),
-    Mutation(
-        "pick: nobody stands beside closing fingers",
-        PICK,
-        "return torch.minimum(people[row], above.within(number[row], low, high))",
-        "return above.within(number[row], low, high)",
-        (T_BESIDE,),
     ),
     Mutation(
         "pick: nobody waits",

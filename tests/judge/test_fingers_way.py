@@ -108,10 +108,10 @@ def test_no_closing_finger_is_lower_on_a_part_of_its_way_than_is_said_nor_much_h
             slack.append(true - float(said.least_m[i, part]))
     assert min(slack) >= 0 and max(slack) < 2e-4, (min(slack), max(slack))
     # of an interval: the least of the parts that it meets
-    row = torch.tensor([0, 1, 2])
-    got = said.within(row, torch.tensor([0.0, 0.26, 0.5]), torch.tensor([1.0, 0.31, 0.5625]))
-    for k, parts in each(((0, slice(0, 16)), (1, slice(4, 5)), (2, slice(8, 9)))):
-        assert got[k] == said.least_m[k, parts].min()
+    row = torch.arange(n)
+    for low, high, parts in each(((0.0, 1.0, slice(0, 16)), (0.26, 0.31, slice(4, 5)), (0.5, 0.5625, slice(8, 9)))):
+        got = said.within(row, torch.full((n,), low), torch.full((n,), high))
+        assert torch.equal(got, said.least_m[:, parts].amin(1))
 
 
 @cache
@@ -125,9 +125,11 @@ def stored_grasps():
 
 def test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it():
     s, (grasp, objects) = scene(), stored_grasps()
-    deeper = grasp[:24].clone()  # whose palm or fingers enter the object
-    deeper[:, :3, 3] += 0.03 * deeper[:, :3, 2] + 0.01 * deeper[:, :3, 1]
-    grasp, objects = torch.cat([grasp, deeper]), torch.cat([objects, objects[:24]])
+    # whose palm or fingers enter the object, and that pass it sideways
+    for along, across in ((0.03, 0.01), (0.07, 0.075)):
+        moved = grasp[:24].clone()
+        moved[:, :3, 3] += along * moved[:, :3, 2] + across * moved[:, :3, 1]
+        grasp, objects = torch.cat([grasp, moved]), torch.cat([objects, objects[:24]])
     n, tables = len(grasp), s.grasp_tables
     options = {"way_m": WAY_M, "tolerance_m": TOLERANCE_M, "share": SHARE}
     cap = torch.full((n,), 0.01)
@@ -137,6 +139,8 @@ def test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it()
     T[:, :, :3, 3] -= WAY_M * (1 - share)[None, :, None] * grasp[:, None, :3, 2]
     every, by = open_clearance(tables, T.flatten(0, 1).contiguous(), objects.repeat_interleave(len(share)), cap_m=0.01)
     true, at = every.view(n, -1).min(1)
+    between = (at > 20) & (at < 380) & (true < torch.minimum(every.view(n, -1)[:, 0], every.view(n, -1)[:, -1]) - 1e-3)
+    assert between.sum() > 5
     allowed = (SHARE * true.abs()).clamp(min=TOLERANCE_M)
     step = 0.5 * WAY_M / 400  # samples see no more
     assert (found <= true + allowed + 1e-6).all() and (found >= true - step - 1e-6).all()
