@@ -5,8 +5,9 @@ import warp as wp
 from r2h_batch.kernels.geometry.shape import BOX, CYLINDER, SPHERE
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap, finger_pose
-from r2h_batch.kernels.robot.posture import load
-from r2h_batch.kernels.robot.tool import Tool, ee_pose
+
+from ..robot.posture import load
+from ..robot.tool import Tool, ee_pose
 
 wp.set_module_options(OPTIONS)
 
