@@ -745,7 +745,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
         "Differences of SR between two methods, over all trials, with the 95 % interval for the mean of all categories and p of"
         " the t test over categories (Holm over the six pairs):",
-        markdown_table(["", "difference", "95 %", "p", "verdict"], pair_lines(data)),
+        markdown_table(["", "difference", "95 % interval", "p", "verdict"], pair_lines(data)),
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
         " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
