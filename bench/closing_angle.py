@@ -34,8 +34,8 @@ HEAD = """# Closing angle: can one line of geometry say what a closing gripper l
 
 Stability passes grasps that the closing fingers push away ([definitions](../transfer.md#physically-stable)). Friction 0.8 holds
 a contact whose normal is within {limit:.1f} degrees of the force. `python bench/closing_angle.py --trials {trials}` took
-the first {trials} trials of each split of r2h-v2 and all six methods: {n} grasps that pass Stability, with {objects} objects
-(bench/results/closing_angle.json, commit {commit}; load of the machine at the start {load}). The contacts are MuJoCo C's,
+the first {trials} trials of each split of r2h-v2 and all six methods. These are {n} grasps that pass Stability, with {objects}
+objects (bench/results/closing_angle.json, commit {commit}; load of the machine at the start {load}). The contacts are MuJoCo C's,
 of pads and convex pieces, where the geometry closes the gripper. The settled simulation says what closing loses: {lost} of {n}.
 
 ## One line against the simulation

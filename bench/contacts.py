@@ -71,7 +71,7 @@ Outcomes of the oracle's {received} received rows in {cases}. `differ`: outcomes
 
 ## Two engines
 
-Slip in the gripper in `take`, over {engines_rows} received rows (among them the eyeglasses of trial 18): MuJoCo-Warp differs from
+Slip in the gripper in `take`, over {engines_rows} received rows (among them the eyeglasses of trial 18). MuJoCo-Warp differs from
 MuJoCo C by {median:.3f} mm (median) and {largest:.2f} mm (largest). On both engines the contacts are the same.
 
 ## Cost

@@ -64,7 +64,7 @@ OF_REGIONS = 120
 ANY_TURN = "20,40,60"
 """Degrees about x, y and z: a turn that maps neither a box nor a voxel grid onto itself."""
 RECEIVERS = (
-    "Receivers of r2h-v2 are 2,000 people of 6 to 90 years, standing and seated, with hands of their own size; those of r2h-v1"
+    "Receivers of r2h-v2 are 2,000 people of 6 to 90 years, standing and seated, with hands of their own size. Those of r2h-v1"
     " are adults with one hand."
 )
 ROUNDS, ROWS = 7, 128
@@ -531,10 +531,10 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
     methods = len(whole["names"])
     n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
     parts = [
-        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned (`--sim none`). In brackets:"
-        " the 95 % interval for the"
-        f" mean of all categories of objects; then where the mean of {few} new categories lies (read this one for your own"
-        " things). The last column compares methods over all trials: *better* holds for new categories (t test over categories),"
+        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned (`--sim none`). In brackets stands"
+        " the 95 % interval for the mean of all categories of objects. Behind it stands where the mean of"
+        f" {few} new categories lies: read this one for your own things. The last column compares methods over all trials:"
+        " *better* holds for new categories (t test over categories),"
         " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the"
         f" {COUNTS[methods]} methods (Holm).",
         "`*`: learned from other instances of these sixteen categories, so its brackets and words hold for things of these"
@@ -735,15 +735,17 @@ def markdown(data: Mapping[str, Any]) -> str:
         "## Table I of r2h-v2",
         f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
         " draws of categories and their instances in which the method is first. Worst rank: with one category left out. 95 %"
-        " intervals: for more trials with these objects; for the mean of all objects, and of all categories; for the mean of some"
-        " new categories, which is the one to read for your own things. Contact-Handover's network was trained on other instances"
+        " intervals are for more trials with these objects, for the mean of all objects, and for that of all categories. One is"
+        " for the mean of some new categories: read it for your own things. Contact-Handover's network was trained on other"
+        " instances"
         " of these categories. [A row of networks that never saw the category]"
         "(../baselines.md#categories-that-the-network-has-not-seen) stands beside it there.",
         table_lines(data),
         "[The same methods on meshes that nobody here drew](scans.md), from a folder of yours too.",
         f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
         "Differences of SR between two methods, over all trials, with the 95 % interval for the mean of all categories and p of"
-        " the t test over categories (Holm over the six pairs): " + "; ".join(pair_words(data)) + ".",
+        " the t test over categories (Holm over the six pairs):",
+        markdown_table(["", "difference", "95 % interval", "p", "verdict"], pair_lines(data)),
         "## Turn test",
         "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
         " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
@@ -752,8 +754,10 @@ def markdown(data: Mapping[str, Any]) -> str:
         f" its box onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps"
         " neither."
         " FC, Contact and Intent place the centre"
-        " of the object above the palm: of r2h-v2's objects that of the smallest ball around them, which turns with them; of"
-        " r2h-v1's objects that of the box along the frame's axes, as these rows are frozen. Contact-Handover's network reads a"
+        " of the object above the palm. Of r2h-v2's objects it is the centre of the smallest ball around them,"
+        " which turns with them."
+        " Of r2h-v1's objects it is that of the box along the frame's axes, as these rows are frozen."
+        " Contact-Handover's network reads a"
         " voxel grid along the frame's axes, so such a turn changes its answer a little.",
         turn_lines(data),
         "## Contact network",
@@ -762,8 +766,8 @@ def markdown(data: Mapping[str, Any]) -> str:
         " meshes. Region: the part that the receiver wants.",
         network_lines(data),
         "## Order of the methods",
-        "SR is the mean of the splits. The last column names the pairs of methods whose difference is significant over all trials"
-        " for new categories (Holm over the six pairs), with a star where it is for these objects alone (r2h-v1: at"
+        "SR is the mean of the splits. The last column names the pairs of methods whose difference over all trials is significant"
+        " for new categories (Holm over the six pairs). A star: it is for these objects alone (r2h-v1: at"
         " least). Every other of the six pairs is tied.",
         order_lines(data),
         "## Which criteria fail",
@@ -780,13 +784,13 @@ def markdown(data: Mapping[str, Any]) -> str:
         "No data set was at hand that says where people take these things. `r2h-batch import objects --from hoh` reads one"
         " ([your data](../your_data.md)); the declared regions were not compared with it.",
         "## How many instances",
-        "SR is measured on C categories, of which S0 has 6 in 16 and S1 the others, on m instances of each, and on as many"
-        " trials of each instance as in Table I (14 in S0, 8 in S1). Splits count the same, as in Table I. Half of the 95 %"
+        "SR is measured on C categories, of which S0 has 6 in 16 and S1 the others. Each has m instances, and an instance has as"
+        " many trials as in Table I (14 in S0, 8 in S1). Splits count the same, as in Table I. Half of the 95 %"
         " interval of Avg is `t_{C-2} sqrt((s_c^2 + (s_i^2 + s_t^2) / m) / C)`. s_c: spread between categories, s_i: between"
         " instances of one, s_t: of an instance's SR by its trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
         spread,
-        "For the difference of two methods: the points measured, their spreads, the half width at 16 x 6 (that of the"
-        " [interval](#table-i-of-r2h-v2) above, but for what few categories that are alike add there), and the fewest categories"
+        "For the difference of two methods: the points measured, their spreads, and the half width at 16 x 6. It is that of the"
+        " [interval](#table-i-of-r2h-v2) above, but for what few categories that are alike add there. Then the fewest categories"
         " at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's correction asks"
         " for more.",
         needs,
@@ -795,12 +799,14 @@ def markdown(data: Mapping[str, Any]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
-def pair_words(data: Mapping[str, Any]) -> list[str]:
-    """Each pair of methods with its verdict over all trials."""
+def pair_lines(data: Mapping[str, Any]) -> list[list[str]]:
+    """Each pair of methods with its difference and verdict over all trials."""
     (whole,) = [c for c in data["compared"] if c["group"] == "all"]
     return [
-        f"{short(p['a'])} - {short(p['b'])} {p['difference']:+.1f} ({ends(p['low'], p['high'])}; p {p['p_new_holm']:.2g}:"
-        f" {p['verdict']})"
+        [
+            *(f"{short(p['a'])} - {short(p['b'])}", f"{p['difference']:+.1f}", ends(p["low"], p["high"])),
+            *(f"{p['p_new_holm']:.2g}", p["verdict"]),
+        ]
         for p in whole["pairs"]
     ]
 
@@ -812,13 +818,13 @@ def cost_lines(data: Mapping[str, Any]) -> list[str]:
     own = data["cost"]
     v1, v2 = own["r2h-v1"], own["r2h-v2"]
     ready = (
-        f"r2h-v1, first in its process, with Warp and its kernels: {v1['ready_cpu_s']:.1f} CPU s, {v1['resident_mib']:.0f} MiB;"
-        f" then r2h-v2: {v2['ready_cpu_s']:.1f} CPU s, {v2['resident_mib'] - v1['resident_mib']:.0f} MiB more"
+        f"r2h-v1, first in its process, with Warp and its kernels: {v1['ready_cpu_s']:.1f} CPU s, {v1['resident_mib']:.0f} MiB."
+        f" Then r2h-v2: {v2['ready_cpu_s']:.1f} CPU s, {v2['resident_mib'] - v1['resident_mib']:.0f} MiB more"
     )
     contacts, first, size = data["contacts_cpu_s"], own["first_use"], data["sizes"]
     ms, ratio = own["trial_ms"], own["trial_ratio"]
     lines = [
-        f"- A scene with warm tables, and its first {ROWS} trials: {ready}.",
+        f"- A scene with warm tables, and its first {ROWS} trials. {ready}.",
         f"- The first use on a machine, four methods, 20 trials of each, empty cache: {first['cpu_s']:.0f} CPU s. Grasps,"
         " receiving hands and the contact network's answers for the instances are shipped.",
         f"- The contact network on an object of yours: {contacts:.2f} CPU s, kept on disk afterwards.",

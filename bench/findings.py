@@ -232,7 +232,7 @@ def page(tables: Mapping[str, Mapping]) -> str:
         "- In r2h-release fingers point away from the robot. FC- and Intent-Handover place the gripper opposite to them, so Plan"
         " mostly fails.",
         "## Findings",
-        "A finding is a list of conditions on the rates as they are, without a test: two rates that are near may change places"
+        "A finding is a list of conditions on the rates as they are, without a test. Two rates that are near may change places"
         " with other trials. `yes`: all hold. `no`: none holds. `not:` names those that do not hold."
         " Own time: T_method.",
         appearing(here),

@@ -41,8 +41,8 @@ Against the package's rays: pixels with another label, and the difference of dep
 
 {agreement}
 
-A seen trial has windows of {seen_px} pixels about object and hand from two posts,
-with the sensor's errors, its moment and a cloud of 2,048 points. One core makes {seen:.0f} of them a second. Moments take
+A seen trial has windows of {seen_px} pixels about object and hand from two posts.
+It also has the sensor's errors, its moment and a cloud of 2,048 points. One core makes {seen:.0f} of them a second. Moments take
 {moment:.1f} ms a trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more,
 clouds {cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
 {small}"""

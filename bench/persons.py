@@ -39,8 +39,8 @@ load time are inputs. If another range reverses the order of two policies, this 
 
 ## Ranges halved and doubled
 
-One range at a time. A cell has three numbers: the percent taken, the median of the largest pull (N), and the median of the time
-until the gripper is free (s). Both medians are of the taken trials.
+One range at a time. A cell has three numbers: the percent taken, then two medians. They are of the largest pull (N) and of the
+time until the gripper is free (s). Both medians are of the taken trials.
 
 {ranges}
 

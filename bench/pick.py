@@ -37,8 +37,8 @@ By category, percent picked:"""
 HEAD = """# Picking from the table: results
 
 A trial of r2h-v2 begins with the object in the gripper. `python bench/pick.py` asks of every stored grasp whether the arm could
-have got it there ([Pick](../pick.md)): {trials} trials of each method, bench/results/pick.json, commit {commit}, load {load:g}
-at the start. For your method run `r2h-batch results picked runs/mine`.
+have got it there ([Pick](../pick.md)). It took {trials} trials of each method (bench/results/pick.json, commit {commit}, load
+{load:g} at the start). For your method run `r2h-batch results picked runs/mine`.
 
 Percent of the trials. A grasp that fails counts once, in the stage that fails first. Brackets: 95 %, Wilson.
 
@@ -72,11 +72,11 @@ picked (median {off_median_um:.1f} um).
 
 ## Checked by other code
 
-Other code judged {checked} of these rows again in float64 (`tests/support/pick_twin.py`: MuJoCo C for convex bodies with own
-fingers and hulls, NumPy for the object's surface, ways sampled every millimetre): {wrong} wrong{words}. {passing} of them pass.
-For these it confirms every stage, and for the others the stage that fails. For a gripper that meets table or person it also
-confirms that no other branch helps. A verdict within 0.2 mm of the border may differ. A margin may be below that of the samples
-by 0.1 mm or a tenth, and above it by a sample's step.
+Other code judged {checked} of these rows again in float64: {wrong} wrong{words}. {passing} of them pass.
+`tests/support/pick_twin.py` takes MuJoCo C for convex bodies, with own fingers and hulls, and NumPy for the object's surface.
+It samples ways every millimetre. For these it confirms every stage, and for the others the stage that fails. For a gripper that
+meets table or person it also confirms that no other branch helps. A verdict within 0.2 mm of the border may differ. A margin
+may be below that of the samples by 0.1 mm or a tenth, and above it by a sample's step.
 """
 
 

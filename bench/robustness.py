@@ -46,8 +46,8 @@ your method run `r2h-batch sweep --method mine.py:predict --set robustness=true 
 
 ## Success rates
 
-Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. (Bars of the picture
-are for more trials with these objects.) Area: mean SR over the errors from 0 to 20 mm, with its 95 % t interval over
+Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. Bars of the picture
+are for more trials with these objects. Area: mean SR over the errors from 0 to 20 mm, with its 95 % t interval over
 categories.
 
 {rates}

@@ -137,9 +137,10 @@ The second command adds the column to Table I, with its interval. Say a mesh's r
 ([your data](../your_data.md#objects)): without one it is of S0, where nothing is reserved for the receiver. Nothing is
 downloaded, and `report` names a folder by its last name alone.
 
-In the tables: the mean of all categories in Table I, with its 95 % interval; the same of the meshes, with the 95 % interval for
-the mean of all categories of such things, then where the mean of 6 new ones lies ([statistical terms](../statistics.md)). Region
-AUC: how well the contact map finds the part that the receiver wants, mean over the things of S1 (0.5 is chance).
+The tables have the mean of all categories in Table I, with its 95 % interval. Beside it stands the same of the meshes, with the
+95 % interval for the mean of all categories of such things. Then comes where the mean of 6 new ones lies ([statistical
+terms](../statistics.md)). Region AUC: how well the contact map finds the part that the receiver wants,
+mean over the things of S1 (0.5 is chance).
 
 Network and trees learned from generated things alone. `contact` knows the sixteen categories of r2h-v2. The next row
 (`{unseen}`) has never seen the category that a thing names: `category: hammer` in a file beside the mesh. A

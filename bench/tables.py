@@ -312,7 +312,7 @@ def truth_about_v1() -> str:
         "Contact-Handover's rate in S1 depends on the frames of these sixteen meshes: its contact network learned them. So does"
         f" its tie with Intent-Handover. On the same trials with turned objects ({WORDS[worst['turn']]}) it falls from"
         f" {contact['rate']:.1f} to {contact['rate'] + worst['points']:.1f} % (95 % of the difference {worst['low']:+.1f} to"
-        f" {worst['high']:+.1f} points); Intent-Handover has {intent['rate']:.1f} and {intent['rate'] + other['points']:.1f} %"
+        f" {worst['high']:+.1f} points). Intent-Handover has {intent['rate']:.1f} and {intent['rate'] + other['points']:.1f} %"
         f" ({contact['n']} trials of S1, `--sim none`; [families](families.md)). r2h-v1 stays as it is; r2h-v2 asks methods"
         " about objects that no network here has seen, though of categories that it has.",
         "Points of SR by one changed choice ([more of them](sensitivity.md)); empty: the choice is another method's.",

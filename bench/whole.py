@@ -136,7 +136,8 @@ again](judged_again.md) has the same for transfers, set `transfer`.
 
 The first {certified} trials are known to have a whole way by all eight criteria ([certificates](../pick.md#certificates)). The
 oracle's search found one for all but {redrawn} as they were drawn first. These {redrawn} ({redrawn_share:.1f} %) were drawn
-again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first:
+again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first
+([why three objects are drawn again in every trial](../pick.md#objects-without-a-whole-way)):
 
 {redraws}
 

@@ -217,7 +217,7 @@ class Prepared(ABC):
     def hint(
         self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
     ) -> str | None:
-        """One line where all rows fail alike and pass in another convention (`judge.conventions`); else None.
+        """One line where all rows fail and some succeed in another convention (`judge.conventions`); else None.
 
         Args:
             scores: verdicts of the B rows.
@@ -237,7 +237,7 @@ class Prepared(ABC):
 
             resting = known_moments(self.scene).of
         poses = T_obj_ee.detach(), T_world_ee.detach()
-        return pose_hint(scores, *poses, trials, judge, resting)
+        return pose_hint(scores, *poses, trials, self.scene, judge, resting)
 
     def motion_hint(
         self,

@@ -128,7 +128,11 @@ STRAIGHT_WAY = "r2h_batch/judge/straight_way.py"
 T_LIFT = "tests/judge/test_lift_physics.py"
 T_FOLLOWED = f"{T_PICK}::test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits"
 T_OFF = f"{T_PICK}::test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed"
-T_LEAST = f"{T_PICK}::test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions"
+T_CLOSING, FINGERS = "tests/judge/test_fingers_way.py", "r2h_batch/judge/fingers_way.py"
+T_WAY_IN = f"{T_CLOSING}::test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it"
+T_HEIGHTS = f"{T_CLOSING}::test_no_closing_finger_is_lower_on_a_part_of_its_way_than_is_said_nor_much_higher"
+T_FLOOR = f"{T_CLOSING}::test_an_interval_whose_floor_is_high_enough_is_not_asked_again"
+T_LEAST = f"{T_CLOSING}::test_the_least_of_a_way_is_found_to_the_tolerance_with_few_questions"
 T_RESTING = f"{T_PICK}::test_an_object_that_rests_is_as_far_from_the_robot_as_mujoco_says"
 T_SAMPLED = f"{T_PICK}::test_verdicts_and_margins_are_those_of_sampled_ways"
 T_WAYS = f"{T_PICK}::test_the_path_ends_where_the_way_in_begins_and_ways_are_ten_centimetres"
@@ -254,8 +258,8 @@ MUTATIONS = (
     Mutation(
         "pick: what a point travels does not count",
         "r2h_batch/judge/least.py",
-        "found - travel(row, low, middle, high) < best[row] - allowed",
-        "found < best[row] - allowed",
+        "bound = found - travel(row, low, middle, high)",
+        "bound = found",
         (T_LEAST,),
     ),
     Mutation(
@@ -295,9 +299,58 @@ MUTATIONS = (
     ),
     Mutation(
         "pick: the open gripper comes from within the object",
+        "kernels/grasp/way_in.py",
+        "T[k, 3] = T[k, 3] - back * T[k, 2]",
+        "T[k, 3] = T[k, 3] + back * T[k, 2]",
+        (T_WAY_IN,),
+    ),
+    Mutation(
+        "pick: the way in is not halved",
+        "kernels/grasp/way_in.py",
+        "level, index = descend(level, index)",
+        "level, index = next_interval(level, index)",
+        (T_WAY_IN,),
+    ),
+    Mutation(
+        "pick: all rows have the cap of the first",
+        "kernels/grasp/way_in.py",
+        "best = float(cap_in[trial])",
+        "best = float(cap_in[0])",
+        (T_WAY_IN,),
+    ),
+    Mutation(
+        "pick: a finger bends nowhere on its way",
+        FINGERS,
+        "off = fingers_bend(scene)",
+        "off = -fingers_bend(scene)",
+        (T_HEIGHTS,),
+    ),
+    Mutation(
+        "pick: boxes of fingers are flat",
+        "kernels/grasp/lowest.py",
+        "wp.abs(u[1]) * size[1] + wp.abs(u[2]) * size[2]",
+        "wp.abs(u[1]) * size[1]",
+        (T_HEIGHTS,),
+    ),
+    Mutation(
+        "pick: the highest part of a way is its floor",
+        FINGERS,
+        "self.least_m[row], torch.inf).amin(1)",
+        "self.least_m[row], -torch.inf).amax(1)",
+        (T_HEIGHTS,),
+    ),
+    Mutation(
+        "pick: a floor is enough",
+        "r2h_batch/judge/least.py",
+        "bound = torch.maximum(bound, floor(row, low, high))",
+        "bound = torch.maximum(bound, floor(row, low, high) + 1.0)",
+        (T_FLOOR,),
+    ),
+    Mutation(
+        "pick: what enters the object has the bound of what is known",
         PICK,
-        "T[:, :3, 3] -= (WAY_M * (1 - s))[:, None] * back[row]",
-        "T[:, :3, 3] += (WAY_M * (1 - s))[:, None] * back[row]",
+        "grasp.margin_m + TOLERANCE_M, tried.found().clearance_m",
+        "grasp.margin_m + TOLERANCE_M, 0.0 * tried.found().clearance_m",
         (T_SAMPLED,),
     ),
     Mutation(
@@ -2221,6 +2274,27 @@ MUTATIONS = (
         "r2h_batch/methods/robust.py",
         "down = -T_world_obj[some, 2, :3]",
         "down = -T_world_obj[some, :3, 2]",
+        ("tests/methods/test_from_the_table.py::test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side",),
+    ),
+    Mutation(
+        "robust: a pair that has not won yet is given up",
+        "r2h_batch/methods/robust.py",
+        "(held + left > beyond)",
+        "(held > beyond)",
+        (f"{T_ROBUST}::test_pairs_that_can_exceed_their_rivals_are_counted_to_the_end_and_others_are_given_up",),
+    ),
+    Mutation(
+        "robust: hopeless pairs are judged to the end",
+        "r2h_batch/methods/robust.py",
+        "(held + left > beyond)",
+        "(held + left > -1)",
+        (f"{T_ROBUST}::test_a_pair_that_can_no_longer_win_is_not_judged_to_the_end_and_no_answer_changes",),
+    ),
+    Mutation(
+        "robust: grasps from above are those of another side",
+        "r2h_batch/methods/robust.py",
+        "(x, y, z))\n    spare_m",
+        "(0.0, 0.0, 1.0))\n    spare_m",
         ("tests/methods/test_from_the_table.py::test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side",),
     ),
     Mutation(

@@ -222,32 +222,17 @@ def _points_clearance(
 #    GJK decides what neither rules out.
 #
 # A primitive's frame (object to primitive) is needed for every sphere: it is written once to the scratch arrays.
-@wp.kernel
-def primitives_clearance(
-    first: int,
-    # tables
-    gripper: Gripper, surfaces: Surfaces, surface_offset: int, used: int, solid: int, cap: float, enough: float,
-    # trials
-    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
-    opening_in: wp.array(dtype=wp.float32),
-    # scratch: (B, G) object to primitive frame
-    R_scratch: wp.array2d(dtype=wp.mat33), p_scratch: wp.array2d(dtype=wp.vec3),
-    # out
-    clearance_out: wp.array(dtype=wp.float32), witness_out: wp.array(dtype=wp.int32),
+@wp.func
+def least_clearance(
+    gripper: Gripper, surfaces: Surfaces, s: int, used: int, solid: int, cap: float, enough: float,
+    T_obj_ee: wp.mat44, opening: float, trial: int, R_scratch: wp.array2d(dtype=wp.mat33), p_scratch: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
-    """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
+    """Least clearance (m) of the primitives in bit mask `used` to surface s, NaN without a triangle; which one has it.
 
-    Exact between `enough` and `cap`; `cap` and -1 beyond; something below `enough` where it is less than that (who only asks
-    whether a gripper is clear need not know how deep it is not). The surface is object_index + surface_offset; `solid` counts
-    its inside too.
-
-    Branch and bound. `best` starts at the cap and falls: with primitives buried in the solid, with one point of every
-    node, and then with the triangles of nodes and leaves whose sphere a primitive may come nearer to than `best`.
+    As `primitives_clearance` says it of a trial's row.
     """
-    trial = first + wp.tid()
-    s = object_index_in[trial] + surface_offset
-    R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee_in[trial])
-    drive = drive_from_gap(gripper, opening_in[trial])
+    R_ee_obj, t_ee_obj = inverse_pose(T_obj_ee)
+    drive = drive_from_gap(gripper, opening)
     best = float(cap)
     witness = int(-1)
     # boxes (ee frame) about the primitives, as many as a bit mask has room for, and about the palm's and each finger's:
@@ -299,5 +284,35 @@ def primitives_clearance(
                 )
         group += 1
         node += LANES
-    clearance_out[trial] = wp.where(surfaces.surface_first[s] < end, best, wp.nan)
+    return wp.where(surfaces.surface_first[s] < end, best, wp.nan), witness
+
+
+@wp.kernel
+def primitives_clearance(
+    first: int,
+    # tables
+    gripper: Gripper, surfaces: Surfaces, surface_offset: int, used: int, solid: int, cap: float, enough: float,
+    # trials
+    T_obj_ee_in: wp.array(dtype=wp.mat44), object_index_in: wp.array(dtype=wp.int32),
+    opening_in: wp.array(dtype=wp.float32),
+    # scratch: (B, G) object to primitive frame
+    R_scratch: wp.array2d(dtype=wp.mat33), p_scratch: wp.array2d(dtype=wp.vec3),
+    # out
+    clearance_out: wp.array(dtype=wp.float32), witness_out: wp.array(dtype=wp.int32),
+):  # fmt: skip
+    """Least clearance (m) of the primitives in bit mask `used` at each trial's opening, and which one has it.
+
+    Exact between `enough` and `cap`; `cap` and -1 beyond; something below `enough` where it is less than that (who only asks
+    whether a gripper is clear need not know how deep it is not). The surface is object_index + surface_offset; `solid` counts
+    its inside too.
+
+    Branch and bound. `best` starts at the cap and falls: with primitives buried in the solid, with one point of every
+    node, and then with the triangles of nodes and leaves whose sphere a primitive may come nearer to than `best`.
+    """
+    trial = first + wp.tid()
+    best, witness = least_clearance(
+        gripper, surfaces, object_index_in[trial] + surface_offset, used, solid, cap, enough, T_obj_ee_in[trial],
+        opening_in[trial], trial, R_scratch, p_scratch,
+    )  # fmt: skip
+    clearance_out[trial] = best
     witness_out[trial] = witness

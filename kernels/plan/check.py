@@ -25,6 +25,7 @@ from r2h_batch.kernels.plan.codes import (
     BLOCKED,
     FREE,
     HAND,
+    MEETING_M,
     OPEN,
     PAIR_HAND,
     PAIR_NONE,
@@ -276,9 +277,9 @@ def check_interval(
                 if seeks and (query.aim == 1 or dist.lower >= kept):
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure
-                        out.best = wp.max(dist.lower, -1.0e-6)
-                        if dist.upper <= 0.0 and dist.lower > -1.0e-6:
-                            out.best = -1.0e-6
+                        out.best = wp.max(dist.lower, MEETING_M)
+                        if dist.upper <= 0.0 and dist.lower > MEETING_M:
+                            out.best = MEETING_M
                         out.pair = code
                         out.body = b
                     margin = out.best - query.tolerance

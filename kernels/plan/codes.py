@@ -35,6 +35,9 @@ REASON_IK_UNREACHABLE = wp.constant(2)
 REASON_IK_IN_COLLISION = wp.constant(3)
 REASON_NOT_EVALUATED = wp.constant(5)
 
+MEETING_M = wp.constant(-1.0e-6)
+"""Clearance of bodies whose cores meet, in metres: there is no smaller one, as how deep they meet is not measured."""
+
 # Sizes.
 WAYPOINTS = wp.constant(32)
 """Longest path that is stored; RRT-Connect's raw paths have 3 to 12."""

@@ -3,7 +3,7 @@
 import warp as wp
 
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, PAIR_NONE, POSTURE
+from r2h_batch.kernels.plan.codes import BRANCHES, CLEARANCE, FREE, MEETING_M, PAIR_NONE, POSTURE
 
 from ..robot.posture import load, load_waypoint
 from ..robot.world import TrialBodies, World
@@ -97,4 +97,6 @@ def path_clearance(
             best = found.best
             pair_out[trial] = found.pair
             body_out[trial] = found.body
+        if best <= MEETING_M:  # no clearance is smaller
+            break
     clearance_out[trial] = best

@@ -15,8 +15,8 @@ from r2h_batch.base import se3
 from r2h_batch.closed_loop.fingers import OwnHands
 from r2h_batch.closed_loop.moving import MovingHands
 from r2h_batch.judge.distance import NearestApproach, hand_distance_at
+from r2h_batch.judge.fingers_way import gripper_radii
 from r2h_batch.judge.grasp import gripper_poses
-from r2h_batch.judge.pick import gripper_radii
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from r2h_batch.base.launch import over_trials
 from r2h_batch.config import Thresholds
 from r2h_batch.kernels.grasp import region as region_kernels
+from r2h_batch.kernels.grasp import way_in as way_kernels
 from r2h_batch.kernels.grasp import width as width_kernels
 from r2h_batch.kernels.robot import gripper as gripper_kernels
 from r2h_batch.scene.grasp_tables import GraspTables, gripper_tables
@@ -218,6 +219,54 @@ def region_distance(
         cap_m,
         known=known,
     )
+
+
+def way_in_clearance(
+    tables: GraspTables,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    object_index: Int32[Tensor, " b"],
+    cap_m: Float32[Tensor, " b"],
+    *,
+    way_m: float,
+    tolerance_m: float,
+    share: float,
+) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
+    """Smallest clearance of the open gripper to the object's solid on its straight way in, and the primitive that has it.
+
+    Args:
+        tables: of the scene.
+        T_obj_ee: (B, 4, 4) float32 grasps, m; the way ends there.
+        object_index: (B,) int32.
+        cap_m: (B,) what clearances count at most, m.
+        way_m: length of the way along the gripper's axis.
+        tolerance_m: how exact the clearance is, or
+        share: this share of it, if that is more.
+
+    Returns:
+        (B,) m, negative: depth, the cap where nothing is nearer; (B,) row of `Robot.gripper`, -1 there.
+    """
+    count = tables.gripper.kind.shape[0]
+    sizes = {"R": count, "p": count}
+    made = over_trials(
+        way_kernels.way_in_clearance,
+        len(T_obj_ee),
+        tables.device,
+        sizes=sizes,
+        chunk=8,
+        uneven=True,
+    )(
+        gripper=tables.gripper,
+        surfaces=tables.surfaces,
+        used=tables.every,
+        way=way_m,
+        opening=tables.open_gap_m,
+        tolerance=tolerance_m,
+        share=share,
+        T_obj_ee=T_obj_ee.contiguous(),
+        object_index=object_index.contiguous(),
+        cap=cap_m.contiguous(),
+    )
+    return made["clearance"], made["witness"]
 
 
 def _clearance(

@@ -6,8 +6,8 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
-TOLERANCE_M = 1e-4
-"""How exact the smallest clearance is: this, or a tenth of it if that is more."""
+TOLERANCE_M, SHARE = 1e-4, 0.1
+"""How exact the smallest clearance is: this, or this share of it if that is more."""
 LEVELS = 16
 """Halvings at most: the parts of a way of 10 cm are below the tolerance after seven."""
 
@@ -15,15 +15,25 @@ Measure = Callable[[Tensor, Tensor], Tensor]
 """(row, s): clearances (m) of rows at s, the share of the way."""
 Travel = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]
 """(row, low, middle, high): how far a point is at most, on the interval, from where it is in its middle (m)."""
+Floor = Callable[[Tensor, Tensor, Tensor], Tensor]
+"""(row, low, high): a lower bound of the clearance on the interval that is known without a measurement (m)."""
 
 
 def least_along(
-    measure: Measure, travel: Travel, rows: Int64[Tensor, " r"], n: int, *, parts: int, cap_m: float
+    measure: Measure,
+    travel: Travel,
+    rows: Int64[Tensor, " r"],
+    n: int,
+    *,
+    parts: int,
+    cap_m: float,
+    floor: Floor | None = None,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"]]:
     """The smallest clearance of each row on its way (s from 0 to 1), and where it is. A row does not depend on the others.
 
-    The clearance in the middle of an interval, less what a point travels, is a lower bound on it. Intervals whose bound is
-    more than the tolerance below the smallest clearance so far are halved (branch and bound). Both ends are measured.
+    The clearance in the middle of an interval, less what a point travels, is a lower bound on it, and so is its floor.
+    Intervals whose bound is more than the tolerance below the smallest clearance so far are halved (branch and bound). Both
+    ends are measured.
 
     Args:
         measure: exact below `cap_m` plus the travel of the first parts, or `cap_m` alone if no more is of interest.
@@ -32,6 +42,7 @@ def least_along(
         n: rows in all; the others get `cap_m` and 0.
         parts: intervals that a way begins with.
         cap_m: clearances count this at most, m.
+        floor: on an interval, where something is known.
     """
     device = rows.device
     best = torch.full((n,), cap_m, dtype=torch.float32, device=device)
@@ -52,8 +63,11 @@ def least_along(
         first = torch.full_like(where, torch.inf).scatter_reduce(0, row, at, "amin")
         where = torch.where(lower < best, first, where)
         best = lower
-        allowed = torch.clamp(0.1 * best.abs(), min=TOLERANCE_M)[row]
-        left = (low < high) & (found - travel(row, low, middle, high) < best[row] - allowed)
+        allowed = torch.clamp(SHARE * best.abs(), min=TOLERANCE_M)[row]
+        bound = found - travel(row, low, middle, high)
+        if floor is not None:
+            bound = torch.maximum(bound, floor(row, low, high))
+        left = (low < high) & (bound < best[row] - allowed)
         row, low, middle, high = (x[left] for x in (row, low, middle, high))
         row = row.repeat(2)
         low, high = torch.cat([low, middle]), torch.cat([middle, high])

@@ -3,10 +3,9 @@ gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; a cr
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property
 from typing import Any, NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
@@ -15,18 +14,18 @@ from r2h_batch.base import se3
 from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.judge.fingers_way import fingers_way, heights
 from r2h_batch.judge.goal import failed_clearance
 from r2h_batch.judge.grasp import (
     CUT_CAP_M,
     Grasp,
     attach,
     close_gripper,
-    gripper_poses,
-    open_clearance,
+    way_in_clearance,
 )
 from r2h_batch.judge.ik import home_posture, solve_ik
 from r2h_batch.judge.inputs import check_benchmark, check_indices, check_receiver, checked_inputs
-from r2h_batch.judge.least import least_along
+from r2h_batch.judge.least import SHARE, TOLERANCE_M, least_along
 from r2h_batch.judge.plan import Plan, path_clearances, plan_paths, random_key
 from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight_ways
 from r2h_batch.kernels.judge.rows import usable_rows
@@ -37,9 +36,6 @@ from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 from r2h_batch.verdicts import PickReason
 
-OBJECT_PARTS, CLOSING_PARTS = 16, 4
-CLOSING_CAP_M = 0.02
-"""Clearances of closing fingers are measured up to this one: no point goes as far above 1 cm within a first part."""
 FAR_FROM_M = 0.002
 """A path that the planner measured this much farther from everything than the cap is not measured again: it is exact
 to a tenth."""
@@ -236,6 +232,14 @@ class _Tried:
             slot=whole((b,), -1),
         )
 
+    def found(self) -> _Nearest:
+        """(B,) The nearest along both ways of the branch that passes and along the path to it."""
+        slot = self.slot.clamp(min=0).long()
+        nearest = self.approach.at(slot).nearer(self.lift.at(slot)).nearer(self.way)
+        cap = _margin(torch.full_like(nearest.clearance_m, CUT_CAP_M))
+        passes = self.slot >= 0
+        return _Nearest(*(torch.where(passes, x, y) for x, y in zip(nearest, cap, strict=True)))
+
 
 @dataclass(frozen=True, eq=False)
 class _Batch:
@@ -358,7 +362,7 @@ class _Batch:
         stages.fail(touching.clearance_m <= 0, PickReason.GRASP_COLLIDES, touching)
         approach = self._approach(every, planned.way_in, depths=True)
         stages.fail(approach.clearance_m <= 0, PickReason.APPROACH_COLLIDES, approach)
-        entered = self._entered(stages.left)
+        entered = self._entered(stages.left, touching.nearer(approach).clearance_m)
         stages.fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
         grasp = self._grasp
         held = _margin(grasp.margin_m)
@@ -391,11 +395,13 @@ class _Batch:
         walked = tried.approach.clearance_m > 0
         blocked, least_bad = self._blocked_approach(tried, stages.left & ~walked.any(1))
         fail(~walked.any(1), PickReason.APPROACH_COLLIDES, blocked)
-        entered = self._entered(stages.left)
+        held = _margin(grasp.margin_m)
+        # a finger beside the object mostly decides both: this stage can name it
+        known_m = torch.minimum(grasp.margin_m + TOLERANCE_M, tried.found().clearance_m)
+        entered = self._entered(stages.left, known_m)
         fail(entered.clearance_m < 0, PickReason.APPROACH_COLLIDES, entered)
 
         # close
-        held = _margin(grasp.margin_m)
         fail(grasp.empty, PickReason.NOTHING_BETWEEN_PADS, held)
         fail(grasp.margin_m < 0, PickReason.NOT_HELD, held)
         closing = self._closing(grasp, q[self._every, valid.to(torch.int8).argmax(1)], stages.left)
@@ -540,6 +546,11 @@ class _Batch:
         return without(self.scene, self._empty, arm=True)
 
     @cached_property
+    def _gripper_beside_person(self) -> BodyPoses:
+        """The same without the table."""
+        return without(self.scene, self._gripper, table=True)
+
+    @cached_property
     def _lifted(self) -> BodyPoses:
         """The attached object among all but the table: it leaves that straight up."""
         return without(self.scene, self._people, table=True)
@@ -577,10 +588,17 @@ class _Batch:
     def _approach(self, rows: Tensor, path: Tensor, *, depths: bool) -> _Nearest:
         """Smallest clearances (R,) along ways in (R, W, J): of the robot from table, person and itself, of the arm from the
         resting object."""
-        worlds = (
-            self._bodies(w, rows, self._open(rows)) for w in (self._empty, self._resting_beside_arm)
-        )
-        first, second = (self._along(w, path, depths=depths) for w in worlds)
+
+        def met(world: BodyPoses, some: Tensor) -> _Nearest:
+            own = rows[some]
+            return self._along(self._bodies(world, own, self._open(own)), path[some], depths=depths)
+
+        every = torch.arange(len(rows), dtype=torch.int64, device=rows.device)
+        first = met(self._empty, every)
+        # what met one of these already is asked for depths alone
+        some = every if depths else torch.nonzero(first.clearance_m > 0).flatten()
+        second = _margin(torch.full_like(first.clearance_m, CUT_CAP_M))
+        second.put((some,), met(self._resting_beside_arm, some))
         return first.nearer(second.of(CollidingPair.OBJECT_ROBOT))
 
     def _along(
@@ -621,29 +639,20 @@ class _Batch:
             out.put((rows,), _deeper(met, _Nearest(*(x[rows] for x in tried.lift.at(slot)))))
         return out
 
-    def _entered(self, left: Tensor) -> _Nearest:
-        """Smallest clearances (B,) of the open gripper from the object's solid on the straight way in."""
-        scene, back = self.scene, self.T_obj_ee[:, :3, 2]
-
-        def at(row: Tensor, s: Tensor, cap_m: float) -> tuple[Tensor, Tensor]:
-            T = self.T_obj_ee[row]
-            T[:, :3, 3] -= (WAY_M * (1 - s))[:, None] * back[row]
-            return open_clearance(
-                scene.grasp_tables, T.contiguous(), self.objects[row], cap_m=cap_m, known=True
-            )
-
-        def travel(row: Tensor, low: Tensor, middle: Tensor, high: Tensor) -> Tensor:
-            return WAY_M * torch.maximum(middle - low, high - middle)
-
-        cap = CUT_CAP_M + 0.5 * WAY_M / OBJECT_PARTS
+    def _entered(self, left: Tensor, known_m: Tensor) -> _Nearest:
+        """Smallest clearances (B,) of the open gripper from the object's solid on the straight way in, where they are below what
+        is `known_m` (B,) to be as near."""
+        out = _margin(torch.full_like(known_m, CUT_CAP_M)).of(CollidingPair.OBJECT_ROBOT)
         rows = torch.nonzero(left).flatten()
-        best, where = least_along(
-            lambda row, s: at(row, s, cap)[0], travel, rows, len(left), parts=OBJECT_PARTS, cap_m=CUT_CAP_M
+        clearance, witness = way_in_clearance(
+            self.scene.grasp_tables, self.T_obj_ee[rows], self.objects[rows], known_m[rows].clamp(0, CUT_CAP_M),
+            way_m=WAY_M, tolerance_m=TOLERANCE_M, share=SHARE,
         )  # fmt: skip
-        body = torch.full_like(self.objects, -1)
-        witness = at(rows, where[rows], cap)[1]
-        body[rows] = torch.where(witness < 0, -1, witness + len(scene.tables.arm_order))
-        return _margin(best)._replace(body=body).of(CollidingPair.OBJECT_ROBOT)
+        nearer = witness >= 0
+        rows = rows[nearer]
+        out.clearance_m[rows] = clearance[nearer]
+        out.body[rows] = witness[nearer] + len(self.scene.tables.arm_order)
+        return out
 
     def _closing(self, grasp: Grasp, q: Tensor, left: Tensor) -> _Nearest:
         """Smallest clearances (B,) of the gripper from table and person while its fingers close at q; where closing pushes the
@@ -655,9 +664,9 @@ class _Batch:
         def opening(row: Tensor, s: Tensor) -> Tensor:
             return gap + s * (shut[row] - gap)
 
-        def at(row: Tensor, s: Tensor) -> _Nearest:
-            poses = self._bodies(self._gripper, row, opening(row, s))
-            return self._along(poses, q[row][:, None], depths=True, cap_m=CLOSING_CAP_M)
+        def at(world: BodyPoses, row: Tensor, s: Tensor, cap_m: float) -> _Nearest:
+            poses = self._bodies(world, row, opening(row, s))
+            return self._along(poses, q[row][:, None], depths=True, cap_m=cap_m)
 
         way = fingers_way(scene)
 
@@ -665,11 +674,26 @@ class _Batch:
             first, half, last = (way.at(opening(row, s)) for s in (low, middle, high))
             return torch.maximum((half - first).abs(), (last - half).abs())
 
+        # the person is far from most grippers at a table: one look at fingers half shut says by how much at least
+        start, half, end = (torch.full_like(shut, s) for s in (0.0, 0.5, 1.0))
+        far = travel(rows, start[rows], half[rows], end[rows])
+        people = torch.full_like(shut, torch.inf)
+        cap_m = CUT_CAP_M + float(way.way_m[-1])
+        people[rows] = at(self._gripper_beside_person, rows, half[rows], cap_m).clearance_m - far
+        # the table is below them: how low they come is known
+        above = heights(scene, q[rows], self._open(rows), shut[rows])
+        number = torch.zeros_like(self._every)
+        number[rows] = torch.arange(len(rows), dtype=torch.int64, device=rows.device)
+
+        def floor(row: Tensor, low: Tensor, high: Tensor) -> Tensor:
+            return torch.minimum(people[row], above.within(number[row], low, high))
+
         best, where = least_along(
-            lambda row, s: at(row, s).clearance_m, travel, rows, len(q), parts=CLOSING_PARTS, cap_m=CUT_CAP_M
+            lambda row, s: at(self._gripper, row, s, CUT_CAP_M).clearance_m, travel, rows, len(q), parts=1, cap_m=CUT_CAP_M,
+            floor=floor,
         )  # fmt: skip
         nearest = _margin(best)
-        witness = at(rows, where[rows])
+        witness = at(self._gripper, rows, where[rows], CUT_CAP_M)
         nearest.pair[rows], nearest.body[rows] = witness.pair, witness.body
         # the pads bring the object between them: it moves along the closing axis
         down = grasp.shift_m * self.T_world_ee[:, 2, 1]
@@ -691,7 +715,8 @@ class _Batch:
         every, open_m = torch.ones_like(rows, dtype=torch.bool), self._open(rows)
         key = random_key(self.trials.trial_id[rows])
         plan = plan_paths(
-            scene, self._bodies(self._all, rows, open_m), before, branches, every, key, config.plan, execute=config.execute
+            scene, self._bodies(self._all, rows, open_m), before, branches, every, key, config.plan, execute=config.execute,
+            cap_m=CUT_CAP_M + FAR_FROM_M,
         )  # fmt: skip
         # what the path keeps from the object, and from all else; without a path a posture says it
         fails = plan.reason == int(PlanReason.IK_IN_COLLISION)
@@ -762,51 +787,6 @@ def _of_slot(path: Tensor, slot: Tensor, some: Tensor) -> Tensor:
     """The paths at (B,) `slot` among (B, 8, W, J); NaN where there is none."""
     own = path[torch.arange(len(slot), dtype=torch.int64, device=slot.device), slot]
     return torch.where(some[:, None, None], own, torch.nan)
-
-
-CELLS = 1024
-"""Openings between which the fingers' way is tabled: 0.1 mm of a gripper that opens 10 cm."""
-
-
-class FingersWay(NamedTuple):
-    """How far the fingers have come, from shut to an opening: at most, of all points of the gripper together.
-
-    Attributes:
-        step_m: between the openings of the table.
-        way_m: (CELLS + 1,) at these openings, from 0.
-    """
-
-    step_m: float
-    way_m: Float32[Tensor, " c"]
-
-    def at(self, opening_m: Float32[Tensor, " b"]) -> Float32[Tensor, " b"]:
-        """At these openings, m, by straight lines between those of the table."""
-        cell = opening_m / self.step_m
-        low = cell.floor().clamp(0, len(self.way_m) - 2)
-        first, last = self.way_m[low.long()], self.way_m[low.long() + 1]
-        return first + (cell - low) * (last - first)
-
-
-@lru_cache(maxsize=4)
-def fingers_way(scene: Scene) -> FingersWay:
-    """The way of a scene's fingers: from one opening to the next no point goes farther than its middle does and its radius
-    times the turn."""
-    step = scene.robot.open_gap_m / CELLS
-    opening = step * torch.arange(CELLS + 1, dtype=torch.float32, device=scene.device)
-    R, p = (x.double() for x in gripper_poses(scene.robot, opening))
-    turn = R.diff(dim=0).square().flatten(2).sum(2).sqrt() / 2**0.5  # 2 sin(angle / 2)
-    moved = p.diff(dim=0).square().sum(2).sqrt() + gripper_radii(scene) * turn
-    way = torch.cumsum(torch.cat([moved.new_zeros(1), moved.amax(1)]), 0)
-    return FingersWay(step, way.float())
-
-
-@lru_cache(maxsize=4)
-def gripper_radii(scene: Scene) -> Tensor:
-    """No point of a gripper primitive is farther from its middle (m), (G,) float64."""
-    first = len(scene.tables.arm_order)
-    axis, radius = (getattr(scene.world, k).numpy()[first:] for k in ("cap_axis", "cap_radius"))
-    far = np.sqrt((axis * axis).sum(1)) + radius
-    return torch.from_numpy(far.astype(np.float64)).to(scene.device)
 
 
 def closing_room(

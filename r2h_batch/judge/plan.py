@@ -59,7 +59,7 @@ class Plan:
     pair: Int32[Tensor, " b"]
     # robot body of the nearest pair (Scene.part_names), -1: none below the cap
     body: Int32[Tensor, " b"]
-    # smallest along the path over all pairs, exact below 5 cm; of a sampled path that passes
+    # smallest along the path over all pairs, exact below the cap; of a sampled path that passes
     # through something, minus a lower bound of the deepest penetration depth; -inf without a path
     clearance_m: Float32[Tensor, " b"]
     straight: Bool[Tensor, " b"]  # the path is one straight joint-space line
@@ -78,6 +78,7 @@ def plan_paths(
     *,
     execute: ExecConfig | None = None,
     start: Float32[Tensor, "b 6"] | None = None,
+    cap_m: float = CLEARANCE_CAP_M,
 ) -> Plan:
     """Paths from a start to those branches that are `valid` and free, and why a row has none.
 
@@ -94,6 +95,7 @@ def plan_paths(
         config: how to search.
         execute: time law, by which paths are shortened; None: the default.
         start: (B, J) float32, rad; None: home.
+        cap_m: clearances of paths count this at most, m.
     """
     with one_torch_thread(q.device):
         b, device = len(active), q.device
@@ -127,7 +129,7 @@ def plan_paths(
             path, length
         )
 
-        least, pair, body = planner.clearance(path, length)
+        least, pair, body = planner.clearance(path, length, cap_m=cap_m)
         if edge_mode == SAMPLES:  # sampled edges may pass through things
             _measure_overlaps(planner, scene, path, length, least, pair, body)
         elif planner.frontier is not None:

@@ -49,3 +49,13 @@ def answers(
     seconds = (time.perf_counter() - start) / max(len(trials), 1)
     t_method_s = torch.full((len(trials),), seconds, dtype=torch.float32, device=home)
     return Predictions(trials.trial_id, T_obj_ee, T_world_ee, t_method_s, method)
+
+
+def part_of(rows: Tensor | None, part: slice) -> Tensor | None:
+    """The rows of a part of all trials, of something that methods may be told.
+
+    Args:
+        rows: (N, ...) of all trials; None: it is not told.
+        part: the rows of the part, as `choose` of `answers` gets them.
+    """
+    return None if rows is None else rows[part]

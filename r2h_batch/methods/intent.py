@@ -22,7 +22,7 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import approach_hit
-from r2h_batch.methods.batches import answers
+from r2h_batch.methods.batches import answers, part_of
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.fc import opposition
 from r2h_batch.methods.from_table import chosen_candidate
@@ -203,7 +203,7 @@ def predict(
         T_obj_ee, opening = chosen_candidate(
             scene,
             part,
-            None if T_world_obj is None else T_world_obj[rows_of],
+            part_of(T_world_obj, rows_of),
             allowed_else_usable(allowed, exists),
             score,
         )

@@ -11,6 +11,7 @@ of grasps that come from above.
 
 import warnings
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 import torch
@@ -27,7 +28,10 @@ from r2h_batch.methods.candidates import check_candidates
 from r2h_batch.methods.from_table import BACKS, KEPT, PickedGrasps, picked_grasps
 from r2h_batch.methods.grasps import NoGraspError, sample_grasps
 from r2h_batch.methods.oracle import Fan, how_far, spare_margins, usable_first, usable_grasps
+from r2h_batch.observe.believed_object import KEPT_SOLIDS
 from r2h_batch.observe.known import known_moments
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 from r2h_batch.types import Predictions, Trials
@@ -39,6 +43,8 @@ ROUNDS = 64
 DRAWS = 16
 _ORDER = 0  # purpose of the random counters
 MOST_DRAWS = 256
+FIRST = 4
+"""Errors under which a pair that has a rival is judged first: most can then no longer hold under more than it does [choice]."""
 ABOVE, ABOVE_ENOUGH = 32, 120
 """Grasps from above of an object that lacks others, and the number that they are chosen from [choice]."""
 
@@ -108,9 +114,10 @@ def predict(
         scores = evaluator.score(grasp, pose, trials[todo])
         value, solved = how_far(scores), torch.nonzero(scores.success)[:, 0]
         if len(solved):
+            own, base = todo[solved], value[solved]
             held = holding(
-                bare, trials[todo[solved]], grasp[solved], pose[solved], sizes, draws, seed
-            )
+                bare, trials[own], grasp[solved], pose[solved], sizes, draws, seed, beyond=best[own] - base
+            )  # fmt: skip
             # beyond every failure
             value[solved] += held.double()
         better = value > best[todo]
@@ -182,21 +189,34 @@ def _from_above(
 ) -> NDArray[np.float32]:
     """(n, 4, 4) grasps of an object that pass Stability and Affordance, and that approach along `down` (frame obj)."""
     scene = evaluator.scene
+    x, y, z = down.tolist()
+    found = sampled_along(scene.objects[object_index], scene.robot, (x, y, z))
+    spare_m = spare_margins(evaluator, found, np.full(len(found), object_index, np.int32))
+    passes = spare_m > -np.inf
+    return found[passes][usable_first(spare_m[passes])[0]]
+
+
+@lru_cache(maxsize=KEPT_SOLIDS)
+def sampled_along(
+    model: ObjectModel, robot: Robot, down: tuple[float, float, float]
+) -> NDArray[np.float32]:
+    """(n, 4, 4) sampled grasps of an object that approach along a direction; kept for the next search of a sweep, and for the
+    next trial with this object on this side.
+
+    Args:
+        model: the object.
+        robot: whose gripper.
+        down: the direction, a unit vector (frame obj).
+    """
     with warnings.catch_warnings():  # that few of them keep off the region is no user's business
         warnings.simplefilter("ignore")
         try:
             found = sample_grasps(
-                scene.objects[object_index],
-                scene.robot,
-                count=ABOVE,
-                enough=ABOVE_ENOUGH,
-                along=down,
+                model, robot, count=ABOVE, enough=ABOVE_ENOUGH, along=np.array(down)
             ).T_obj_ee
         except NoGraspError:
-            return np.empty((0, 4, 4), np.float32)
-    spare_m = spare_margins(evaluator, found, np.full(len(found), object_index, np.int32))
-    passes = spare_m > -np.inf
-    return found[passes][usable_first(spare_m[passes])[0]]
+            found = np.empty((0, 4, 4), np.float32)
+    return found
 
 
 def holding(
@@ -207,6 +227,8 @@ def holding(
     sizes: Sizes,
     draws: int,
     seed: int,
+    *,
+    beyond: Float64[Tensor, " b"] | None = None,
 ) -> Tensor:
     """(B,) the number of drawn errors under which each pair succeeds.
 
@@ -218,40 +240,50 @@ def holding(
         sizes: of the errors.
         draws: number of errors.
         seed: of the errors.
+        beyond: (B,) number that each pair has to exceed to be of use. One that cannot is not judged to the end, and its number
+            is too small. None: all are judged to the end.
     """
     known = known_moments(evaluator.scene)
     resting = known.of(trials) if "pick" in evaluator.benchmark.asks else None
     held = torch.zeros(len(trials), dtype=torch.int64, device=T_obj_ee.device)
     if not draws:
         return held
-    grasps: list[Tensor] = []
-    hands: list[Tensor] = []
+    drawn: list[tuple[Tensor, Tensor]] = []
     for k in range(draws):
         # no key that errors of a judge or of an estimator are drawn by
         own = int(rng.key_of(f"robust {seed} {k}")[0])
-        grasps.append(
-            taken_grasps(replace(sizes.object, seed=own), evaluator.scene.objects, T_obj_ee, trials)
-        )
-        hands.append(
+        drawn.append((
+            taken_grasps(replace(sizes.object, seed=own), evaluator.scene.objects, T_obj_ee, trials),
             estimated_hand(
                 evaluator.scene, trials.trial_id, trials.hand_index, trials.T_world_hand, seed=own, noise=sizes.hand
-            )
-        )  # fmt: skip
-    # all at once: a call for few rows costs as much as for many
-    rows = torch.arange(len(trials), dtype=torch.int64, device=T_obj_ee.device).repeat(draws)
-    grasp, moved = torch.cat(grasps), replace(trials[rows], T_world_hand=torch.cat(hands))
-    at_once = len(rows)
-    if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
-        T_obj_moved = se3.matmul(T_obj_ee[rows].double(), se3.inverse(grasp.double()))
-        there = se3.matmul(resting[rows].double(), T_obj_moved).float()
-        if not known.tells_apart(moved):  # draws that leave a hand where it was
-            at_once = len(trials)
-    for first in range(0, len(rows), max(at_once, 1)):
-        some = slice(first, first + at_once)
-        if resting is not None:
-            known.tell(moved[some], there[some])
-        scores = evaluator.score(grasp[some], T_world_ee[rows[some]], moved[some])
-        held += scores.success.reshape(-1, len(trials)).sum(0)
+            ),
+        ))  # fmt: skip
+    grasps, hands = (torch.stack(T) for T in zip(*drawn, strict=True))
+
+    def judge(draw: Tensor, row: Tensor) -> None:
+        grasp, moved = grasps[draw, row], replace(trials[row], T_world_hand=hands[draw, row])
+        if resting is not None:  # the gripper goes where it was told, and the object is elsewhere
+            T_obj_moved = se3.matmul(T_obj_ee[row].double(), se3.inverse(grasp.double()))
+            known.tell(moved, se3.matmul(resting[row].double(), T_obj_moved).float())
+        success = evaluator.score(grasp, T_world_ee[row], moved).success
+        held.index_add_(0, row, success.long())
+
+    # as many as can be at once: a call for few rows costs as much as for many
+    every = torch.ones((draws, len(trials)), dtype=torch.bool, device=held.device)
+    first = every & False
+    if beyond is not None:
+        first[:FIRST] = beyond >= 0
+    for some, left in ((first, draws), (~first, (~first).sum(0))):
+        if beyond is not None:
+            some = some & (held + left > beyond)
+        draw, row = torch.nonzero(some, as_tuple=True)
+        moved = replace(trials[row], T_world_hand=hands[draw, row])
+        if resting is None or known.tells_apart(moved):
+            parts = [(draw, row)] if len(row) else []
+        else:  # a draw that leaves a hand where it was shares its moment with others
+            parts = [(draw[draw == k], row[draw == k]) for k in draw.unique()]
+        for part in parts:
+            judge(*part)
     if resting is not None:
         known.tell(trials, resting)
     return held

@@ -3,6 +3,7 @@
 import shlex
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import TURNS
@@ -13,14 +14,17 @@ from r2h_batch.report.turn import folder_of
 from r2h_batch.runs.store import Run, load_run
 
 
-def next_commands(runs: Sequence[Run]) -> str:
+def next_commands(runs: Sequence[Run], printed: Literal["brief", "table"] = "table") -> str:
     """The commands as text that ends in a newline.
 
     Args:
         runs: those of a report, each with a complete method.
+        printed: what stands above them, the whole table or its short form.
     """
     folders = shlex.join(_short(run.folder) for run in runs)
     lines = []
+    if printed == "brief":
+        lines.append(("report", "", "times, counts and all intervals, with what they mean"))
     if (words := _compared(runs)) is not None:
         lines.append(("compare", words, "which differences are more than chance"))
     lines.append(("report", " --format html > report.html", "by object, margins, every trial"))

@@ -1,6 +1,7 @@
 """Table I of a run: its columns and notes, and the text of it as Markdown, LaTeX, CSV or JSON; also
 object by object."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
@@ -36,6 +37,7 @@ from r2h_batch.report.statistics.shares import (
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import (
     NA,
+    NOTE,
     aligned,
     csv_text,
     json_text,
@@ -148,12 +150,10 @@ class Table:
             for row in self.scans.values()
         ]
         scans = [f"SR scans, and its 95 % interval for new objects like these: {'; '.join(own)}."]
-        new = "new categories" if self.families else "new objects"
         families = [CATEGORY_NOTE] if self.families else []
-        families += [FEW_NOTE.format(self.few, new)]
-        order = ", ".join(e.name.capitalize() for e in IN_ORDER if e.rate in self.failures)
+        families += [FEW_NOTE.format(self.few, self.new)]
         return (
-            FOOTNOTES[0].format(order),
+            _first_failure(self.failures),
             *FOOTNOTES[1:],
             *map(self._partial, PARTIAL),
             *families,
@@ -193,6 +193,11 @@ class Table:
             f"{entry.heading}: percent of the trials whose object the criterion concerns ({n}), so no part of that sum;"
             f" Avg: mean of the splits that have such objects. Its margins are in {unit}."
         )
+
+    @property
+    def new(self) -> str:
+        """The things that a prediction interval is about, in words."""
+        return "new categories" if self.families else "new objects"
 
     @property
     def few(self) -> int:
@@ -517,6 +522,55 @@ def _counts(row: Row) -> list[str]:
     n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
     cells = [row.n, n_plan, n_exec, cell(row, "t_method_s"), invalid(row), row.counts["missing"]]
     return [*map(str, cells)]
+
+
+def brief(table: Table) -> str:
+    """The short table that a sweep prints: success and first failures, where the rows come from, what must be known about them.
+    `render` has the other intervals, counts, times and shares with their notes."""
+    rates = [c for c in table.headings if c not in TIMES and c != "sr"]
+    short = short_names([row.method for row in table.rows])
+    head = [
+        "Split",
+        "Method",
+        "SR",
+        "95 %",
+        f"{table.few} new",
+        *(table.headings[c] for c in rates),
+    ]
+    lines = [
+        [
+            *(row.split, plain(short[row.method]) + table.mark(row), cell(row, "sr")),
+            *(interval(row.rates["sr"]), interval(row.sr_few)),
+            *(cell(row, c) for c in rates),
+        ]
+        for row in table.rows
+    ]
+    origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in table.origin.items())
+    notes = [
+        _first_failure(table.failures),
+        f"95 %: the interval of SR for more trials with these objects. {table.few} new: where the mean of {table.few}"
+        f" {table.new} lies that you bring, with 95 %.",
+        *map(plain, legend(short)),
+        *table.misses,
+        *map(plain, table.trained),
+        *(test.sentence for test in table.turns if test.marked),
+    ]
+    return (
+        "\n\n".join(
+            [
+                aligned(head, lines, 2),
+                textwrap.fill(origin, NOTE, break_long_words=False, break_on_hyphens=False),
+                notes_list(notes),
+            ]
+        )
+        + "\n"
+    )
+
+
+def _first_failure(failures: Mapping[str, CriterionEntry]) -> str:
+    """The note on SR and first failures."""
+    order = ", ".join(e.name.capitalize() for e in IN_ORDER if e.rate in failures)
+    return FOOTNOTES[0].format(order)
 
 
 def _md(table: Table) -> str:

@@ -270,9 +270,11 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
         if storage.log:
             _log(stored, storage.log)
     if names and not left:
-        sys.stdout.write(report.render(report.table_of(stored), storage.format))
+        table = report.table_of(stored)
         if storage.format == "md":
-            sys.stdout.write("\n" + next_commands([stored]))
+            sys.stdout.write(f"{report.brief(table)}\n{next_commands([stored], printed='brief')}")
+        else:
+            sys.stdout.write(report.render(table, storage.format))
         if "episodes" in storage.kinds:
             from r2h_batch.report.closed_loop import render
 

@@ -292,6 +292,17 @@ def test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side(
     assert np.allclose(down, [0, 0, -1], atol=1e-6)
 
 
+def test_grasps_from_above_are_sampled_once_for_an_object_on_one_side(monkeypatch):
+    asked, real = [], robust.sample_grasps
+    monkeypatch.setattr(robust, "sample_grasps", lambda *a, **k: asked.append((a[0], *k["along"])) or real(*a, **k))
+    robust.sampled_along.cache_clear()
+    first = robust.pickable(trials(), judge(), 0)
+    once = len(asked)
+    again = robust.pickable(trials(), judge(), 0)
+    assert once and len(asked) == once == len(set(asked))
+    assert np.array_equal(first.T_obj_ee, again.T_obj_ee) and np.array_equal(first.count, again.count)
+
+
 def test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_spare_margins_first(monkeypatch):
     usable, asked = oracle.usable_grasps(judge()), []
 

@@ -77,6 +77,43 @@ def test_errors_are_those_of_the_object_and_of_the_hand_one_verdict_each():
     )
 
 
+def test_a_pair_that_can_no_longer_win_is_not_judged_to_the_end_and_no_answer_changes(monkeypatch):
+    every, judged = answers(), []
+    evaluator, real = default_evaluator("r2h-v2"), type(default_evaluator("r2h-v2")).score
+    monkeypatch.setattr(type(evaluator), "score", lambda self, *a, **k: judged.append(len(a[0])) or real(self, *a, **k))
+
+    def searched():
+        judged.clear()
+        found = robust.predict(trials(), evaluator.scene, evaluator=evaluator, sizes=RGB, draws=DRAWS, rounds=ROUNDS)
+        assert torch.equal(found.T_obj_ee, every.T_obj_ee) and torch.equal(found.T_world_ee, every.T_world_ee)
+        return sum(judged)
+
+    rows = searched()
+    monkeypatch.setattr(robust, "holding", lambda *a, beyond: holding(*a))
+    assert rows < searched()
+
+
+def test_pairs_that_can_exceed_their_rivals_are_counted_to_the_end_and_others_are_given_up(monkeypatch):
+    judge, some, found = default_evaluator("r2h-v2").kinematic, trials(), answers(0)
+    pairs = judge, some, found.T_obj_ee, found.T_world_ee, RGB, 8, 5
+    count = holding(*pairs)
+    assert len(count.unique()) > 4 and count.max() == 8
+    for rival in each((-torch.inf, -1.0, 0.0, 3.0, 5.0, 7.0, 8.0)):
+        beyond = torch.full((len(some),), rival, dtype=torch.float64)
+        held = holding(*pairs, beyond=beyond)
+        assert torch.equal(held[count > rival], count[count > rival])
+        assert (held <= count).all() and (held[count <= rival] <= max(rival, 0)).all()
+    mixed = torch.tensor([-torch.inf, 8.0, 0.0, 3.0], dtype=torch.float64).repeat(len(some) // 4)
+    held, asked = holding(*pairs, beyond=mixed), []
+    wins = count > mixed
+    assert torch.equal(held[wins], count[wins]) and not held[mixed == 8.0].any()
+    real = type(judge).score
+    monkeypatch.setattr(type(judge), "score", lambda self, *a, **k: asked.append(len(a[0])) or real(self, *a, **k))
+    holding(*pairs, beyond=torch.full_like(mixed, -torch.inf))
+    holding(*pairs, beyond=torch.full_like(mixed, 8.0))
+    assert asked == [8 * len(some)]  # without rivals one call; of hopeless pairs none
+
+
 def test_answers_have_the_same_bits_alone_and_in_any_order():
     evaluator, every = default_evaluator("r2h-v2"), answers()
     for rows in each((torch.tensor([4]), torch.tensor([3, 0]))):

@@ -44,6 +44,14 @@ def test_a_folder_below_the_working_directory_is_named_from_there(tmp_path, monk
     assert [words[1] for words in offered([run])] == [str(tmp_path / "runs" / "mine")]
 
 
+def test_below_the_short_form_the_whole_table_is_offered_first():
+    runs = [load_run(DEFAULT)]
+    short = next_commands(runs, printed="brief").splitlines()
+    where = offered(runs)[0][1]
+    assert shlex.split(short[2], comments=True) == ["r2h-batch", "report", where]
+    assert short[:2] + short[3:] == next_commands(runs).splitlines()
+
+
 def test_a_run_of_other_trials_is_not_offered_the_baselines(tmp_path, capsys):
     run = write_run(tmp_path / "run", {"mine": np.zeros(8, int)}, 4, 4)
     assert [words[0] for words in offered([run])] == ["report"]  # no poses are stored either

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from made_runs import command, files_of, made_trials, make_header, make_scores, store, table_1, write_run
+from rounds import each
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
@@ -222,6 +223,31 @@ def test_a_run_that_is_none_of_scans_is_refused_as_their_column(tmp_path, capsys
     assert command("report", tmp_path / "run", scans=tmp_path / "scans") == 2
     error = capsys.readouterr().err
     assert said in error and error.count("\n") == 1
+
+
+def test_what_a_sweep_prints_is_the_tables_success_and_first_failures_in_few_lines(paper, expected):
+    text = report.brief(paper)
+    (heading, *rows), whole = md_tables(text)[0], md_tables(report.render(paper, "md"))
+    failures = [c for c in COLUMNS if c not in ("sr", "t_plan_s", "t_exec_s", "t_tot_s")]
+    shown = ["sr", *failures]
+    at = [heading.index(report.HEADINGS[name]) for name in shown]
+    for row in each(rows):
+        cells = dict(zip(COLUMNS, expected[row[0], row[1]], strict=True))
+        assert [row[i] for i in at] == [cells[name] for name in shown]
+    assert [r[heading.index("95 %")] for r in rows] == [r[2] for r in whole[1][1:]]  # SR's, of more trials
+    assert [r[heading.index("6 new")] for r in rows] == [r[-1] for r in whole[2][1:]]
+    assert len(rows) == len(whole[0]) - 1 and md_tables(text)[1:] == []
+    lines = text.splitlines()
+    assert lines[2 + len(rows)] == "" and len(lines) <= len(rows) + 20 and max(map(len, lines)) <= 100
+    said = " ".join(text.split())
+    assert all(f"{key}: {value[:12]}" in said for key, value in paper.origin.items())
+    assert "in the order Stability, Plan, Reach, Affordance, Safe." in said
+
+
+def test_what_must_be_known_of_a_row_is_printed_with_it(paper):
+    more = replace(paper, misses=("It misses 3 of 10 poses.",), trained=("ours: trained on a_*",))
+    said = " ".join(report.brief(more).split())
+    assert "It misses 3 of 10 poses." in said and r"trained on a\_\*" in said and "misses" not in report.brief(paper)
 
 
 def test_what_a_method_says_that_it_learned_from_is_text_in_markdown(paper):
