@@ -105,7 +105,7 @@ def weighed(chain: Chain, links: Sequence[Link], shown: str) -> tuple[Chain, tup
 
 
 def dynamics_of(chain: Chain, robot: Robot) -> Dynamics:
-    """What the simulators need of an arm whose links all have a mass; servos by the UR5e's rule."""
+    """Masses and servos of an arm whose links all have a mass, as simulators take them; servos by the UR5e's rule."""
     moving = chain.links[1:]
     return replace(
         robot.dynamics,

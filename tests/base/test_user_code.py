@@ -1,4 +1,4 @@
-"""What a file in place of a user's program is refused for before Python reads it."""
+"""Programs of users that are refused before Python reads them."""
 
 import pytest
 

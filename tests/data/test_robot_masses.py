@@ -1,4 +1,4 @@
-"""What an import takes where the file says no mass, no inertia or no speed, and what it refuses."""
+"""Imports of files that say no mass, no inertia or no speed: defaults, warnings, refusals."""
 
 import re
 import subprocess

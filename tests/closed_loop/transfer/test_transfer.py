@@ -495,7 +495,10 @@ ALLOWED = {
         ("Action(self.no, shift=self.half)", ALLOWED["shift"].format("a tensor (3,) of float64 on cpu")),
         ("Action(self.no, surplus_n=self.no)", ALLOWED["surplus_n"].format("a tensor (3,) of bool on cpu")),
         ("Action(self.no, self.half / 0)", "squeeze holds inf; it must hold finite numbers, 0 to 1"),
-        ("Action(self.no, shift=seen.force * torch.nan)", "shift holds nan; it must hold finite numbers, -0.5 to 0.5 m"),
+        (
+            "Action(self.no, shift=seen.force * torch.nan)",
+            "shift holds nan; it must hold finite numbers, -0.5 to 0.5 m",
+        ),
         ("Action(self.no, shift=seen.force * 0 + 1e3)", "shift holds 1000; it must hold finite numbers, -0.5 to 0.5 m"),
         ("Action(self.no, self.half * 14)", "squeeze holds 7; it must hold finite numbers, 0 to 1"),
         ("Action(self.no, -self.half)", "squeeze holds -0.5; it must hold finite numbers, 0 to 1"),
