@@ -197,7 +197,9 @@ def draft_answers(path: Path) -> None:
     """The random method's answers to four trials of the draft."""
     run = load_run(runs() / "draft")
     rows = run.poses(run.entries[0].name).to_pylist()
-    poses = {k: np.array([r[k] for r in rows], np.float32).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")}
+    poses: dict[str, Any] = {
+        k: np.array([r[k] for r in rows], np.float32).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
+    }
     with path.open("wb") as file:
         np.savez(file, trial_id=np.array([r["trial_id"] for r in rows]), **poses)
 
@@ -215,7 +217,8 @@ def moved(name: str, change: Callable[[np.ndarray], np.ndarray]) -> Damage:
 
 def at(x: np.ndarray, value: float, *place: int) -> np.ndarray:
     """The array with a number in every row."""
-    x[(slice(None), *place)] = value
+    index: Any = (slice(None), *place)
+    x[index] = value
     return x
 
 
@@ -249,7 +252,7 @@ ANSWERS: dict[str, Damage] = {
 
 def draft_trials(path: Path) -> None:
     """Listed trials for the draft."""
-    trials = load_benchmark(DRAFT).trials(2)
+    trials: Any = load_benchmark(DRAFT).trials(2)
     with path.open("wb") as file:
         np.savez(
             file, object=np.array(trials.object_names), T_world_hand=trials.T_world_hand.numpy(),
@@ -371,8 +374,15 @@ TABLE: dict[str, Damage] = {
     "a column twice": cells(("seconds", "seconds,seconds"), ("4.5", "4.5,9")),
     "half a surrogate": cells(("oracle", "orac\ud800le")),
 }
+
+
+def first_person(k: int, value: str) -> Damage:
+    """Another k-th cell of the first person."""
+    return rewritten(lambda d: _cell(d, k, value))
+
+
 PERSON: dict[str, Damage] = {
-    what: rewritten(lambda d, k=k, v=v: _cell(d, k, v))
+    what: first_person(k, v)
     for what, (k, v) in {
         "an age of -3": (1, "-3"),
         "an age of 900": (1, "900"),
