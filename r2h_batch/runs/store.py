@@ -267,7 +267,10 @@ class Run:
             words = f"{word!r} answered several times: {', '.join(found)}; give one of these names"
             raise RunError(f"{self.folder}: {words}")
         has = ", ".join(names) or "none"
-        raise RunError(f"{self.folder}: no method {word!r}{nearest(word, names)}; it has {has}")
+        functions = [str(e.source.get("function", "")).partition(":")[0] for e in self.entries]
+        short = [f.rpartition(".")[2].replace("_", "-") for f in functions if f]
+        near = nearest(word, short) or nearest(word, names)
+        raise RunError(f"{self.folder}: no method {word!r}{near}; it has {has}")
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone, in stored order.
