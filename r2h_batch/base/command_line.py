@@ -278,8 +278,9 @@ def refuse(name: str, error: object, code: int = 2) -> int:
 
 
 def counted(number: int, things: str) -> str:
-    """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
-    return f"{number} {things[:-1] if number == 1 else things}"
+    """A number and what it counts: `people`, or a plural that ends with s: "1 person", "1 hand", "2 hands"."""
+    one = "person" if things == "people" else things[:-1]
+    return f"{number} {one if number == 1 else things}"
 
 
 def _deferred(function: Command, every: bool = False, *, first: bool = False) -> Command:
