@@ -216,13 +216,16 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
 
 @contextlib.contextmanager
 def _warnings_in_a_line(name: str) -> Iterator[None]:
-    """Warnings as one line each, without the source that Python shows; those of libraries only with
+    """Warnings as one line each, once, without the source that Python shows; those of libraries only with
     --verbose, and in the log."""
+    said: set[str] = set()
 
     def one_line(message: Warning | str, category: type[Warning], *_: Any) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
-            LOG.info(text)
+            if text not in said:  # Python forgets what it said each time that a filter changes
+                said.add(text)
+                LOG.info(text)
         else:
             LOG.debug(f"{text} ({category.__name__})")
         return ""

@@ -36,7 +36,7 @@ from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
-from r2h_batch.runs.side import read_side, side_path
+from r2h_batch.runs.side import is_kept, read_side, side_path
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
 
@@ -434,7 +434,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, reception, transfer or viewed.
+            folder: held, picked, reception, transfer or viewed.
             path: the file; None: that of the method.
 
         Raises:
@@ -446,6 +446,22 @@ class Run:
         rows = self.trials(method, ["trial_id", "outcome"])
         won = pc.equal(rows["outcome"].cast(pa.string()), "success").to_numpy()
         return read_side(path, rows["trial_id"].to_numpy(), won)
+
+    def keeps(self, method: str, path: Path, schema: pa.Schema) -> bool:
+        """Whether a file beside a method's shards is as it was written, with these columns, about the trials of the run.
+
+        Args:
+            method: its name.
+            path: of the file; it may be missing.
+            schema: of its rows.
+        """
+        if not is_kept(path, schema, len(self.trials(method, ["trial_id"]))):
+            return False
+        try:
+            self.side(method, path.parent.name, path)
+        except RunError:
+            return False
+        return True
 
     def verify(self, *, whole: bool = False) -> None:
         """Raise `RunError` unless every stored shard is as it was written.
