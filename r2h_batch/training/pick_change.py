@@ -35,9 +35,8 @@ def pick_change(
     """Derivatives of B margins by the entries of T_obj_ee, m per entry.
 
     The gripper moves rigidly with the ee frame, so its smallest clearance changes by how its nearest point moves along the
-    direction that parts the two bodies. In the table it is the lowest point of the deepest body, which rises, or, of a body
-    nearer to the table's bottom, the highest, which sinks. Zero where the margin is at its cap, and where nothing here parts
-    the two.
+    direction that parts the two bodies. In the table it is the deepest body, which leaves by the nearest side of the table or of
+    itself. Zero where the margin is at its cap, and where nothing here parts the two.
 
     Args:
         scene: robot, objects, hands and table.
@@ -80,24 +79,35 @@ def pick_change(
 def _out_of_table(
     scene: Scene, T_world_ee: Tensor, opening_m: Tensor, body: Int64[Tensor, " b"], depth_m: Tensor
 ) -> tuple[Float32[Tensor, "b 3"], Float32[Tensor, "b 3"]]:
-    """Directions (world) that part each row's gripper body and the table, and the points (ee frame) that move along them: up by
-    its lowest point, down by its highest; no direction where another side of the table is nearer.
+    """Directions (world) that part each row's gripper body and the table, and the points (ee frame) that move along them: out of
+    the table's nearest side by the body's point that is farthest in, or, of a box, out of its own nearest side by the table's
+    corner that is. No direction where edges of both are nearer than all sides.
     """
-    R, p = gripper_poses(scene.robot, opening_m)
-    cores, radius = _cores(scene.robot, scene.device)
+    robot, place, device = scene.robot, scene.config.workplace, opening_m.device
+    R, p = gripper_poses(robot, opening_m)
+    cores, radius = _cores(robot, scene.device)
     own = (body - len(scene.tables.arm_order)).clamp(0, len(cores) - 1)
-    rows = torch.arange(len(own), dtype=torch.int64, device=own.device)
+    rows = torch.arange(len(own), dtype=torch.int64, device=device)
     points = se3.matmul(cores[own], R[rows, own].mT) + p[rows, own][:, None]
-    height = (points * T_world_ee[:, None, 2, :3]).sum(2) + T_world_ee[:, 2, 3, None]
-    center, half = scene.world.table_center[2], scene.world.table_half[2]
-    low, high = height.argmin(1), height.argmax(1)
-    up = center + half - height[rows, low] + radius[own]
-    down = height[rows, high] + radius[own] - center + half
-    sign = torch.where(up <= down, 1.0, -1.0)
-    near = (torch.minimum(up, down) - depth_m).abs() <= NEAR_M + NEAR_SHARE * depth_m
-    push = torch.zeros_like(points[:, 0])
-    push[:, 2] = torch.where(near, sign, 0.0)
-    return push, points[rows, torch.where(up <= down, low, high)]
+    corners = (
+        np.array(place.table_center) + np.array(list(product((-1, 1), repeat=3))) * place.table_half
+    )
+    table = torch.from_numpy(corners.astype(np.float32)).to(device)
+    # the ways out (world): of the table's sides x, y, z, -x, -y, -z, and of a box's
+    sides = torch.eye(3, dtype=torch.float32, device=device).expand(len(own), 3, 3)
+    boxes = se3.matmul(T_world_ee[:, :3, :3], R[rows, own]).mT
+    out = torch.cat([sides, -sides, boxes, -boxes], 1)  # (B, 12, 3)
+    inner, farthest = se3.matmul(out, se3.apply(T_world_ee[:, None], points).mT).min(2)
+    outer, corner = se3.matmul(out, table.T.expand(len(own), 3, 8)).max(2)
+    depth = outer - inner + radius[own, None]
+    no_box = torch.from_numpy(np.array(robot.gripper.kind) != ShapeKind.BOX).to(device)[own]
+    depth[:, 6:] = torch.where(no_box[:, None], torch.inf, depth[:, 6:])
+    least, side = depth.min(1)
+    near = (least - depth_m).abs() <= NEAR_M + NEAR_SHARE * depth_m
+    push = torch.where(near[:, None], out[rows, side], 0.0)
+    of_table = se3.apply(se3.inverse(T_world_ee), table[corner[rows, side]])
+    of_body = points[rows, farthest[rows, side]]
+    return push, torch.where((side < 6)[:, None], of_body, of_table)
 
 
 @lru_cache(maxsize=4)

@@ -8,9 +8,12 @@ import torch
 from rounds import each
 
 from r2h_batch import load_benchmark
+from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.candidates import candidates_of
+from r2h_batch.observe import moments
+from r2h_batch.types import CollidingPair
 from r2h_batch.verdicts import PickReason
 
 STEP_M = 2e-4
@@ -92,6 +95,35 @@ def test_derivatives_are_those_of_differences():
     assert sum(map(all, good.values())) >= 0.85 * len(good), good
     for why in each((PickReason.OUT_OF_REACH, PickReason.GRASP_COLLIDES)):
         assert any(all(v) for i, v in good.items() if int(reason[i]) == int(why)), why
+
+
+def test_a_gripper_that_is_nearest_to_a_side_of_the_table_leaves_by_that_side():
+    """It points down, its fingertips 30 mm deep in the table, and in x or y some 10 mm of them at one of the table's sides."""
+    ev, (trials, _, poses) = evaluator(), asked()
+    place, one = ev.scene.config.workplace, trials[:1]
+    rest = moments(ev.scene, one).double()
+
+    slopes = []
+    for axis, side in each(((0, 1.0), (1, 1.0), (1, -1.0))):  # behind is the robot
+        T = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0], dtype=torch.float64))
+        T[:3, 3] = torch.tensor([0.2, 0.0, place.table_center[2] + place.table_half[2] - 0.022])
+        T[axis, 3] = place.table_center[axis] + side * (place.table_half[axis] + (0.005, 0.045)[axis])
+        grasp = se3.matmul(se3.inverse(rest), T[None])[0]
+        own = grasp[None].float().requires_grad_(True)
+        margin, scores = pick_of(ev, own, poses[:1], one)
+        assert int(scores.pick[0, 0]) == PickReason.GRASP_COLLIDES and int(scores.pick[0, 1]) == CollidingPair.TABLE
+        change = torch.autograd.grad(margin.sum(), own)[0][0].double()
+        out = torch.zeros(6, dtype=torch.float64)
+        out[:3] = side * T[axis, :3]  # away from the table, in the gripper's frame
+        turn = torch.tensor([0.3, -0.5, 0.2, 0.0, 0.0, 0.0], dtype=torch.float64)
+        turn[3:] = 6.0 * torch.linalg.cross(out[:3], T[2, :3])  # about the table's edge
+        # two parallel faces part by either edge of theirs when they turn
+        for twist in (out, turn) if axis == 1 else (out,):
+            both = [moved(grasp, twist, s * STEP_M) for s in (1, -1)]
+            more, less = (float(pick_of(ev, x[None].float(), poses[:1], one)[0]) for x in both)
+            slopes.append(float((change * (both[0] - both[1])).sum()) / (2 * STEP_M))
+            assert slopes[-1] == pytest.approx((more - less) / (2 * STEP_M), abs=0.03)
+    assert min(slopes[:2] + slopes[3:4]) > 0.9, slopes
 
 
 def test_a_margin_at_its_cap_has_no_derivative():
