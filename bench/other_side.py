@@ -98,7 +98,8 @@ def searched(judge: Any, own: Any, k: int) -> dict[str, Any]:
     found |= {"picked": int(picks.count.max()), "ends": "Pick"}
     kept = PickedGrasps(picks.T_obj_ee[some], picks.draw[some], picks.count[some])
     fan = oracle.Fan(own[torch.from_numpy(some)], judge, 0, kept)
-    todo, last = np.arange(len(some)), Counter()
+    todo = np.arange(len(some))
+    last: Counter[str] = Counter()
     for turn in range(ROUNDS):
         if not len(todo):
             break

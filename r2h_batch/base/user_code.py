@@ -20,6 +20,8 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.plugins import PluginError, Registry
 
 HOW = "package.module:function or FILE.py:function"
+MOST_BYTES = 16 << 20
+"""Largest program that is imported: Python reads a file as a whole."""
 
 _BROUGHT: dict[str, Collection[str]] = {}
 """Module -> the modules that its first import brought."""
@@ -136,9 +138,15 @@ def _search_first(folder: Path) -> None:
 
 def _import_file(file: Path) -> ModuleType:
     """The file as a module: by its own name, or with a digest of its path if that name is taken."""
-    file = file.resolve()
-    if not file.is_file():
+    try:
+        file = file.resolve()
+        there = file.is_file()
+    except (OSError, RuntimeError):  # Python 3.11 and 3.12 raise the latter
+        raise ImportError(f"{file}: a link that leads to itself") from None
+    if not there:
         raise ImportError(f"{file}: no such file")
+    if (size := file.stat().st_size) > MOST_BYTES:
+        raise ImportError(f"{file}: {size} bytes; at most {MOST_BYTES} are allowed for a program")
     taken = getattr(sys.modules[file.stem], "__file__", None) if file.stem in sys.modules else file
     digest = hashlib.sha256(str(file).encode()).hexdigest()[:8]
     name = file.stem if taken and Path(taken) == file else f"{file.stem}_{digest}"

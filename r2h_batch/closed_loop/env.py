@@ -27,6 +27,7 @@ from r2h_batch.base.validate import (
     describe_value,
     instance_of,
     integer,
+    one_of,
     optional,
     suggest_names,
     text,
@@ -221,6 +222,46 @@ class Episodes:
     overlap_m: Float32[Tensor, " b"]
 
 
+def checked_motion(
+    motion: ReceiverMotion | str,
+    *,
+    action: Action = "velocity",
+    release: str | None = None,
+    output: Output = "numpy",
+    privileged: bool = False,
+    autoreset: bool = False,
+    from_table: bool = False,
+) -> ReceiverMotion:
+    """The motion of the receivers, once it is known that the arguments of `HandoverEnv` go together.
+
+    Args:
+        motion: it, or its name.
+        action: as of `HandoverEnv`, as are the next four.
+        release: as there.
+        output: as there.
+        privileged: as there.
+        autoreset: as there.
+        from_table: whether episodes begin with the object on the table.
+
+    Raises:
+        TypeError, ValueError: one of them is none that is allowed, or they do not go together.
+    """
+    for name, switch in (("privileged", privileged), ("autoreset", autoreset)):
+        boolean(name, switch)
+    optional(text)("release", release)
+    named = "the name of a motion, or ReceiverMotion(...)"
+    instance_of((str, ReceiverMotion), named)("motion", motion)
+    one_of(*get_args(Action))("action", action)
+    one_of(*get_args(Output))("output", output)
+    found = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
+    if release is not None and found.kind != "takes":
+        raise ValueError(f"release needs receivers that take (motion takes), not {found.kind}")
+    if action == "pose" and (from_table or release == ASKED):
+        why = "an action that moves the gripper too" if from_table else 'release="action"'
+        raise ValueError(f'{why} needs action velocity, twist or posture, not "pose"')
+    return found
+
+
 class HandoverEnv(VectorEnv):
     """B handovers whose receivers move.
 
@@ -282,30 +323,25 @@ class HandoverEnv(VectorEnv):
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
-        for name, switch in (("privileged", privileged), ("autoreset", autoreset)):
-            boolean(name, switch)
-        optional(text)("release", release)
-        instance_of((str, ReceiverMotion), "the name of a motion, or ReceiverMotion(...)")(
-            "motion", motion
-        )
+        self.motion = checked_motion(
+            motion, action=action, release=release, output=output, privileged=privileged, autoreset=autoreset,
+            from_table=self.from_table,
+        )  # fmt: skip
         self.evaluator, n = inputs.evaluator, len(scores)
         for section in ("execution_error", "object_errors"):
             if getattr(self.evaluator.config, section).any:
                 raise ValueError(
                     f"a closed loop has no {section}; score with an Evaluator without it"
                 )
-        for name, word, allowed in (("action", action, Action), ("output", output, Output)):
-            if word not in get_args(allowed):
-                words = ", ".join(get_args(allowed))
-                raise ValueError(f"{name} is {word!r}; allowed are {words}")
         optional(integer(1, n))("num_envs", num_envs)
         self.pool, self.config, self.action = scores, config or LoopConfig(), action
         self.output, self.autoreset = output, autoreset
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
         self.metadata = {**self.metadata, "autoreset_mode": mode}
-        self.motion = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
         self.privileged, self.scene = privileged, self.evaluator.scene
-        self._transfers = self._transfers_of(release)
+        self._transfers = (
+            None if release is None else LoopTransfers(self.scene, release, self.config.rate_hz)
+        )
         self._lets_go = release == ASKED
         self._moves_gripper = self._lets_go or self.from_table
         self._sees_person = self.evaluator.config.receiver == "body"
@@ -355,17 +391,6 @@ class HandoverEnv(VectorEnv):
     def _more_shapes(self) -> dict[str, tuple[int, ...]]:
         """More observations of an environment: name -> shape of a row."""
         return {}
-
-    def _transfers_of(self, release: str | None) -> LoopTransfers | None:
-        if release is None:
-            return None
-        if self.motion.kind != "takes":
-            raise ValueError(
-                f"release needs receivers that take (motion takes), not {self.motion.kind}"
-            )
-        if release == ASKED and self.action == "pose":
-            raise ValueError('release="action" needs action velocity, twist or posture, not pose')
-        return LoopTransfers(self.scene, release, self.config.rate_hz)
 
     def __reduce__(self) -> Any:
         """Refuses copies by pickle: judged scores leave their evaluator behind."""
@@ -427,6 +452,10 @@ class HandoverEnv(VectorEnv):
         if options is not None and not isinstance(options, Mapping):
             raise TypeError(
                 f"options are {describe_value(options)}; they must be a mapping or None"
+            )
+        if odd := [name for name in options or () if name != "reset_mask"]:
+            raise ValueError(
+                f"options of reset hold {describe_value(odd[0])}; 'reset_mask' alone is allowed"
             )
         mask = None if options is None else options.get("reset_mask")
         if mask is not None:
@@ -1146,6 +1175,11 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Any = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        if options:
+            what = f"options are {describe_value(options)}"
+            raise ValueError(f"{what}; an environment of one handover has none, as it begins anew")
+        if seed is not None:  # said as for many: Gymnasium has no limits
+            integer(0, MOST_SEED)("seed", seed)
         super().reset(seed=seed)
         observation, info = self.vector.reset(seed=seed)
         self._over = False

@@ -80,10 +80,6 @@ class TableHandoverEnv(HandoverEnv):
         if more.get("config") is None:
             more["config"] = LoopConfig(horizon_s=TABLE_HORIZON_S)
         super().__init__(scores, *args, **more)
-        if self.action == "pose":
-            raise ValueError(
-                'an action that moves the gripper too needs action velocity, twist or posture, not "pose"'
-            )
 
     def _more_shapes(self) -> dict[str, tuple[int, ...]]:
         return {"T_world_obj": (4, 4), "gripper": (), "phase": (), "T_obj_ee": (4, 4)}

@@ -102,9 +102,6 @@ def robot(
         count = missed(found.robot)
     arm = replace(found.robot, ik_missed=(TARGETS, count), payload_kg=payload)
     report = found.report | {"ik_targets": TARGETS, "ik_missed": count}
-    if file.suffix.lower() == ".xml":
-        how = "2 rad/s a joint; edit max_velocity_rad_s of robot.yaml"
-        report["speeds"] = f"an MJCF has none: {how}"
     write_robot(out, arm)
     write_json(out / "report.json", report)
     _tell(arm, report)
@@ -217,8 +214,14 @@ def _tell(robot: "Robot", report: dict[str, Any]) -> None:
                 print(f"pads: the fingers stand {row['proud_mm']:.1f} mm before them")
         if "turn" in row:
             print(f"pads: the file turns them by {row['turn']}")
-    if "speeds" in report:
-        print(f"speeds: {report['speeds']}")
+    if joints := report.get("assumed_speed"):
+        speed = report["joints"][joints[0]]["speed_rad_s"]
+        how = f"{speed:g} rad/s each; edit max_velocity_rad_s of robot.yaml"
+        print(f"speeds: the file has none of {', '.join(joints)}: {how}")
+    if masses := report.get("assumed_mass_kg"):
+        print(
+            f"masses: of convex hulls, {', '.join(f'{k} {kg:.2g} kg' for k, kg in masses.items())}"
+        )
     kind = "closed form" if robot.family == "ur" else "numerical"
     print(
         f"{robot.name}: inverse kinematics {kind}, {report['ik_missed']} of {report['ik_targets']} reachable poses"

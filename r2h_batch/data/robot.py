@@ -44,6 +44,7 @@ from r2h_batch.data.robot_home import (
     turned,
 )
 from r2h_batch.data.robot_links import Link, Meshes, check_meshes, files_of, link_of
+from r2h_batch.data.robot_masses import FLAT_M, check_masses, dynamics_of, weighed
 from r2h_batch.data.robot_model import Geom, read_model
 from r2h_batch.data.robot_pads import Window, find_pads
 from r2h_batch.data.robot_pairs import Touching, checked_pairs, contact_rates, touching
@@ -92,19 +93,12 @@ SYMMETRIC_M, PARALLEL_RAD = 1e-4, 5e-3
 """By how much the fingers may close differently, and the pads turn."""
 MOST_TURN_RAD = np.radians(2.0)
 """By how much the pads of a linkage may turn that is parallel in the data sheet and not quite in the file."""
-ROUNDED, MOST_EXCESS = 1.001, 1.25
-"""By how much the largest moment of a link may be above the sum of the others: as rounding makes it, and as files of
-vendors have it."""
 BALL_M = 1e-3
 """Radius of a last link of which the file shows nothing: the gripper hides it."""
 BONE_M = 1e-3
 """Radius of the rods that stand for the links before their meshes are read."""
-FLAT_M = 1e-6
-"""Extent of a link's corners below which they have no hull."""
 POSTURES = 8000
 """Random postures in which links are looked for in contact."""
-SMALL_EFFORT_NM, STIFF, SOFT = 40.0, 10_000.0, 2_000.0
-"""Servos below this effort are soft, N m/rad: the UR5e's rule [choice]."""
 
 
 class Imported(NamedTuple):
@@ -193,7 +187,7 @@ def import_robot(
         max_torque=frozen(chain.effort),
         digest=f"{name}, being imported",
     )
-    dynamics = _dynamics(chain, bare, shown)
+    chain = check_masses(chain, shown)
     names: tuple[str, ...] = tuple(_word(part.name) for part in chain.links)
     named = _with_links(bare, names)
     table = Workplace().scaled(named.reach_m / load_robot(DEFAULT_ROBOT).reach_m)
@@ -217,6 +211,8 @@ def import_robot(
     geoms = [*(g for part in parts for g in files_of(part)), *(g for p in meshed for g in p.shown)]
     meshes = Meshes(model, geoms, packages)
     links = [link_of(part, meshes) for part in chain.links]
+    chain, got = weighed(chain, links, shown)
+    bare = replace(bare, dynamics=dynamics_of(chain, bare), max_torque=frozen(chain.effort))
     palm: dict[str, Any] = {}
     told: dict[str, Any] = {}
     if fingers is not None and hand is not None:
@@ -236,6 +232,8 @@ def import_robot(
     else:
         bare = _with_links(bare, names)
     first_q = start or first_home(bare, shown)  # before the minutes that fitting takes
+    if bare.family != "ur":
+        _check(replace(_bones(bare), home_q=first_q), shown)
     if not start:
         free_home(_bones(bare), table, shown, [link.triangles for link in links])
         _check_wrist(bare, links, mouths, table, shown)
@@ -252,7 +250,7 @@ def import_robot(
         hulls, where = [*hulls, *found], [*where, *[k] * len(found)]
     numbered = [f"{names[k]}_{where[:i].count(k)}" for i, k in enumerate(where)]
     arm = _primitives_of(hulls, where, numbered)
-    robot = replace(bare, arm=arm, dynamics=dynamics, home_q=first_q)
+    robot = replace(bare, arm=arm, home_q=first_q)
     pairs = checked_pairs(robot, POSTURES)
     checked = [[robot.links.index(x) for x in pair] for pair, say in pairs.items() if say[0]]
     robot = replace(robot, self_pairs=frozen(checked, np.int32), digest=f"{name}, with pairs")
@@ -280,6 +278,10 @@ def import_robot(
         report["pads"] = told
     if chain.assumed:
         report["assumed_torque"] = list(chain.assumed)
+    if chain.assumed_speed:
+        report["assumed_speed"] = list(chain.assumed_speed)
+    if got:
+        report["assumed_mass_kg"] = {names[k]: chain.links[k].mass for k in got}
     if read is not None:
         report["srdf"] = compared(read, chain, robot.links, pairs) | {"states": sorted(read.states)}
     seen = [link.triangles for link in links]
@@ -615,34 +617,3 @@ def _frame(shape: Shape) -> Array:
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = shape.R, shape.pos
     return T
-
-
-def _dynamics(chain: Chain, robot: Robot, shown: str) -> Any:
-    """Masses from the URDF; servos by the UR5e's rule."""
-    moving, inertia, mended = chain.links[1:], [], []
-    for link in moving:
-        moments, axes = np.linalg.eigh(link.inertia)
-        most = moments[0] + moments[1]
-        if not link.mass and not link.inertia.any():
-            how = "give it an <inertial>"
-            raise FileError(
-                f"{shown}: link {printable(link.name)}: the file says no mass, or leaves it to a mesh; {how}"
-            )
-        if link.mass <= 0 or moments[0] <= 0 or moments[2] > MOST_EXCESS * most:
-            what = f"mass {link.mass:g} kg, moments {moments} kg m^2"
-            raise FileError(f"{shown}: link {printable(link.name)} is not a body: {what}")
-        if moments[2] > ROUNDED * most:  # no body has such moments, and the simulator takes none
-            mended.append(link.name)
-            inertia.append((axes * [moments[0], moments[1], most]) @ axes.T)
-        else:
-            inertia.append(link.inertia)
-    if mended:
-        what = f"{shown}: the largest moment of {printable(', '.join(mended))[:120]} is above the sum of the others"
-        warnings.warn(f"{what}, as of no body: taken as the sum", stacklevel=3)
-    return replace(
-        robot.dynamics,
-        mass=frozen([link.mass for link in moving]),
-        com=frozen([link.com for link in moving]),
-        inertia=frozen(inertia),
-        stiffness=frozen(np.where(chain.effort < SMALL_EFFORT_NM, SOFT, STIFF)),
-    )

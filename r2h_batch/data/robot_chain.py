@@ -2,7 +2,7 @@
 
 import itertools
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -21,6 +21,8 @@ SAMPLES = 513
 GRAVITY_M_S2, HELD_KG, LEAST_NM = 9.81, 2.0, 10.0
 """A joint without a limit of torque gets twice the torque that holds the stretched arm with this mass at its flange, and
 at least the last of these [choice]."""
+SPEED_RAD_S = 2.0
+"""Speed limit of a joint whose file says none, as no MJCF does [choice]."""
 MOST_TURNS = 60
 CLOSED_M = 1e-4
 """By how much a loop of a gripper may stay open."""
@@ -84,6 +86,8 @@ class Chain:
     """the flange and the links of the file that it carries"""
     assumed: tuple[str, ...]
     """joints whose torque the file does not say"""
+    assumed_speed: tuple[str, ...]
+    """joints whose speed it does not say"""
     replaced: tuple[str, ...]
     """links that are left out, with what they carry: `grippers_at`"""
 
@@ -172,10 +176,10 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
     parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
     T_joints, T_flange = _exact(np.array(frames).reshape(-1, 4, 4)), _exact(T_before)
     low, high = np.array([_range(joint, shown) for joint in moving]).reshape(-1, 2).T
-    speed = np.array([_speed(joint, shown) for joint in moving])
+    speed = np.array([_speed(joint, shown) or SPEED_RAD_S for joint in moving])
     effort = np.array([joint.effort for joint in moving])
     missing = effort <= 0
-    effort = np.where(missing, _holding_torque(T_joints, T_flange, parts), effort)
+    effort = np.where(missing, holding_torque(T_joints, T_flange, parts), effort)
     beyond, todo = {flange}, [flange]
     while todo:
         new = {link.name for link in model.below(todo.pop())}
@@ -184,7 +188,7 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
     return Chain(
         tuple(joint.name for joint in moving), T_joints, T_flange, low, high, speed, effort,
         tuple(parts), frozenset(beyond), tuple(j.name for j, no in zip(moving, missing, strict=True) if no),
-        tuple(replaced),
+        tuple(joint.name for joint in moving if not joint.speed), tuple(replaced),
     )  # fmt: skip
 
 
@@ -416,14 +420,21 @@ def _range(joint: Joint, shown: str) -> tuple[float, float]:
 
 
 def _speed(joint: Joint, shown: str) -> float:
-    if not joint.speed > 0:
+    """rad/s; 0: the file does not say."""
+    if not joint.speed >= 0:
         where = f"{shown}: joint {printable(joint.name)}: velocity {joint.speed:g}"
-        raise FileError(f"{where}; it needs velocity and effort above 0")
+        raise FileError(f"{where}; it must be above 0, or left out for {SPEED_RAD_S:g} rad/s")
     return joint.speed
 
 
-def _holding_torque(T_joints: Array, T_flange: Array, parts: list[Rigid]) -> Array:
-    """(N,) N m for joints whose file does not say theirs."""
+def holding_torque(T_joints: Array, T_flange: Array, parts: Sequence[Rigid]) -> Array:
+    """(N,) N m for joints whose file does not say theirs.
+
+    Args:
+        T_joints: (N, 4, 4) each joint in the frame of the one before.
+        T_flange: (4, 4) the flange in the last joint's frame.
+        parts: the N + 1 rigid parts.
+    """
     lengths = np.linalg.norm(T_joints[1:, :3, 3], axis=1)
     found = np.zeros(len(T_joints))
     for j in range(len(found)):

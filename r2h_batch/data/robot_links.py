@@ -1,8 +1,9 @@
 """The shape of a robot's links: triangles of their meshes, shapes of the file as bodies."""
 
+import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import mujoco
 import numpy as np
@@ -201,11 +202,26 @@ def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
     if not name.startswith("package://"):
         return beside(model.path, name, model.folders)
     package, _, inside = name.removeprefix("package://").partition("/")
-    folder = packages.get(package) or _package_around(model.path, package, packages.values())
+    given = (*packages.values(), *model.folders)
+    folder = packages.get(package) or _package_around(model.path, package, given)
+    if folder is None and (folder := _folder_with(model.path, package, inside, given)) is not None:
+        what = f"{model.shown}: package://{printable(package)[:60]} is the folder {folder.name}"
+        warnings.warn(f"{what}, which holds what it names", stacklevel=2)
     if folder is None:
         how = f"give --package {printable(package)}=FOLDER"
         raise FileError(f"{model.shown}: {printable(name)[:120]}: {how}")
     return path_within(folder, inside)
+
+
+def _folder_with(path: Path, package: str, inside: str, within: Iterable[Path]) -> Path | None:
+    """The nearest folder above the file, within one of `within`, that holds a file of this name: who packs a ROS package may
+    give its folder another name."""
+    parts = PurePosixPath(inside.replace("\\", "/")).parts
+    if package in ("", ".", "..") or not parts or ".." in parts:
+        return None
+    whole = [folder.resolve() for folder in within]
+    above = [f for f in path.resolve().parents if any(f.is_relative_to(w) for w in whole)]
+    return next((folder for folder in above if (folder / inside).is_file()), None)
 
 
 def _package_around(path: Path, package: str, within: Iterable[Path]) -> Path | None:

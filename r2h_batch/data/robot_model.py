@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 MAX_BYTES, MAX_LINKS, MAX_ELEMENTS, MAX_INCLUDES = 8 << 20, 256, 8192, 16
 MAX_ATTRIBUTES = 64
 """Most attributes of an element: MuJoCo's parser compares each with all others."""
-SPEED_RAD_S = 2.0
-"""Speed limit of a joint of an MJCF, which has none [choice]."""
 
 _IN_BODY = {"body", "frame", "joint", "freejoint", "geom", "inertial", "site"}
 _MOTORS = {"motor", "general", "position", "velocity", "intvelocity", "damper"}
@@ -91,6 +89,7 @@ class Joint:
     """rad or m; NaN: no limit"""
     upper: float
     speed: float
+    """rad/s or m/s; 0: the file does not say, as no MJCF does"""
     effort: float
     """N m or N; 0: the file does not say"""
     follows: tuple[str, float, float] | None
@@ -230,6 +229,11 @@ def _of_urdf(root: Element, path: Path) -> Model:
         if element.tag == "limit" and element.get("lower") == element.get("upper"):
             for end in {"lower", "upper"} & set(element.attrib):  # MuJoCo would print a warning
                 del element.attrib[end]
+        if element.tag in (
+            "visual",
+            "collision",
+        ):  # MuJoCo prints a line of each name that is there twice
+            element.attrib.pop("name", None)
         if element.tag == "inertial":
             _complete(element)
     options = {"strippath": "false", "fusestatic": "false", "discardvisual": "false"}
@@ -303,7 +307,7 @@ def _end(joint: Element, which: str, shown: str) -> str:
 
 
 def _complete(inertial: Element) -> None:
-    """A mass or tensor of 0 where an <inertial> has none: whoever asks for this link refuses it."""
+    """A mass or tensor of 0 where an <inertial> has none."""
     if inertial.find("mass") is None:
         SubElement(inertial, "mass", value="0")
     if inertial.find("inertia") is None:
@@ -548,7 +552,7 @@ def _joint(
     kind = kinds.get(mujoco.mjtJoint(model.jnt_type[first]), "free or a ball")
     own = _joint_name(model, first)
     low, high = model.jnt_range[first] if model.jnt_limited[first] else (np.nan, np.nan)
-    speed = SPEED_RAD_S
+    speed = 0.0
     if said is not None:
         element = said.get(own)  # of a joint that MuJoCo splits there is none
         limit = None if element is None else element.find("limit")

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import OBJECT_ERRORS, EvalConfig, ObjectErrors
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.grasps import NoGraspError, sample_grasps
@@ -125,11 +126,13 @@ class AskedHere:
         """
         start = time.perf_counter()
         grasp, handover = straight_down(seen)
-        world = believed(
-            seen, *self._known, self._config, self._noise, holds=self._holds, seed=self._seed
-        )
+        with on_threads(self._threads):
+            world = believed(
+                seen, *self._known, self._config, self._noise, holds=self._holds, seed=self._seed
+            )
+            if world is not None:
+                answer = self._function(world.trials, world.scene, **self._arguments(world))
         if world is not None:
-            answer = self._function(world.trials, world.scene, **self._arguments(world))
             T_world_grasp = se3.matmul(world.T_world_obj, answer.T_obj_ee.double())
             grasp[world.row], handover[world.row] = T_world_grasp, answer.T_world_ee.double()
         seconds = (time.perf_counter() - start) / max(len(seen), 1)

@@ -5,6 +5,7 @@ planning and of the method) is shown as claimed.
 """
 
 import hashlib
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics.aggregate import ASKED_FAILURES, FAILURES, Row, summarise
-from r2h_batch.report.statistics.common import Common
+from r2h_batch.report.statistics.common import Common, complete, seeing
 from r2h_batch.report.statistics.paired import BOUNDS, compare, holm, mcnemar, pair_up
 from r2h_batch.report.statistics.tally import tally
 from r2h_batch.report.text import NA, short_names
@@ -288,14 +289,23 @@ def setting_of(run: Run) -> dict[str, str]:
 
 
 def section_of_draft(run: Run) -> dict[str, str]:
-    """`setting_of` a run of a draft, whose section has no baselines: it says so.
+    """`setting_of` a run of a draft, whose section has no baselines: it says so. No baselines refuse what was asked or judged
+    otherwise, so the section's setting also says what methods see and how they are judged.
 
     Args:
         run: one of the section.
     """
-    setting = setting_of(run)
-    digest = run.header["digests"].get("benchmark", run.header["digests"]["trials"])
-    setting["digest of trials"] = str(digest)[:12]
+    setting, digests = setting_of(run), run.header["digests"]
+    setting["digest of trials"] = str(digests.get("benchmark", digests["trials"]))[:12]
+    # rows have the same bits whatever the chunk; the preset's name stands beside
+    judged = {
+        k: v for k, v in complete(run.header["configuration"]).items() if k not in ("chunk", "name")
+    }
+    words = json.dumps(judged, sort_keys=True)
+    setting["digest of the configuration"] = hashlib.sha256(words.encode()).hexdigest()[:12]
+    setting["methods see"] = seeing(run.header)
+    if (sees := digests.get("sees")) is not None:
+        setting["methods see"] += f", digest {sees[:12]}"
     return setting | {"a draft": "its trials may change; not to be published; no baselines"}
 
 

@@ -140,7 +140,8 @@ def _percent(rate: Rate | None, best: bool = False) -> Any:
     if rate is None:
         return _cell(NA, None)
     low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
-    return _cell(f"{rate.percent:.1f}", round(rate.percent, 4), low, high, best)
+    cell = _cell(f"{rate.percent:.1f}", round(rate.percent, 4), low, high, best)
+    return cell | {"total": rate.total}
 
 
 def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, Any]]:

@@ -84,12 +84,11 @@ _SKIPPED = " and ".join(
 FOOTNOTES = (
     "SR and F_*: percent of all N planned trials of the split; a trial counts once, at its first failure in the order"
     " {0}. With invalid and missing they add up to 100.",
-    "T_plan: mean over the trials in which planning ran of the batch's wall time divided by its trials (no latency),"
-    " without the method's own time; T_exec: mean over the trials whose arm came to rest at its goal; T_tot = T_plan +"
-    " T_exec; the counts are in the last table.",
+    "T_plan: a batch's planning time divided by its trials, so no latency; the method's own time is not in it. T_exec: mean"
+    " over the trials whose arm came to rest at its goal. T_tot is their sum. A table below counts the trials of each.",
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
-    "Presented (information only, no part of SR): percent of S1's trials, failed ones too, whose receiver's region faces the palm"
-    " (seen from the TCP, 90 degrees at most) and is within reach (the ball's radius).",
+    "Presented (information only, no part of SR): percent of S1's trials, failed ones too, in which the receiver's region faces"
+    " the palm and is in reach. Facing: within 90 degrees, seen from the TCP. In reach: within the ball's radius.",
     "Intervals: 95 %. One is for more trials with these objects (Wilson; MOVER in Avg). The object-clustered one (t, of log"
     " odds) is for the mean of all objects of the same kind.",
 )
@@ -99,8 +98,8 @@ CATEGORY_NOTE = (
     " for independent, and those of one category are not."
 )
 FEW_NOTE = (
-    "SR of {0} new: the prediction interval: where the mean of {0} {1} lies that you bring (of each split; Avg: of both). Read"
-    " it for your own things, and the interval for all to say what a method is worth."
+    "SR of {0} new: the prediction interval. It says where the mean of {0} {1} lies that you bring (of each split; Avg: of both)."
+    " Read it for your own things, and the interval for all to say what a method is worth."
 )
 
 

@@ -1,4 +1,4 @@
-"""Files beside the shards, one for each method: RUN/held, reception, transfer and viewed/METHOD.parquet.
+"""Files beside the shards, one for each method: RUN/held, picked, reception, transfer and viewed/METHOD.parquet.
 
 `r2h-batch results` makes them of stored rows. Their size is bounded by the rows of the run before they are read. Their columns
 must be those that were written: the footer has a digest of them. Their trials and successes must be those of the shards, and
@@ -50,6 +50,10 @@ _TRIAL = {"trial_id": pa.int64(), "success": pa.bool_()}
 _YES, _WORD = pa.bool_(), pa.string()
 KINDS = {
     "held": Kind({**_TRIAL, "split": _WORD, "held": _YES, "undecided": _YES}, gaps=("held",)),
+    "picked": Kind(
+        {**_TRIAL, "object": _WORD, "split": _WORD, "picked": _YES, "pick_reason": _WORD, "pick_pair": _WORD},
+        gaps=("pick_pair",),
+    ),
     "reception": Kind({**_TRIAL, "evaluated": _YES, "received": _YES}, of_rows=False),
     "transfer": Kind(
         {**_TRIAL, "release": _WORD, "scenario": _WORD, "person": pa.int16(), "received": _YES, "outcome": _WORD},
@@ -230,11 +234,11 @@ def is_kept(path: Path, schema: pa.Schema, trials: int) -> bool:
     """Whether a file is as `side_writer` wrote it, with these columns, and no larger than its run allows.
 
     Args:
-        path: of the file; it exists.
+        path: of the file; it may be missing.
         schema: of its rows.
         trials: of the run.
     """
-    if unbounded(path, trials) or pq.read_schema(path) != schema:
+    if not path.is_file() or unbounded(path, trials) or pq.read_schema(path) != schema:
         return False
     with _opened(path) as file:
         return not _not_as_written(file, file.read())

@@ -36,7 +36,7 @@ from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
-from r2h_batch.runs.side import read_side, side_path
+from r2h_batch.runs.side import is_kept, read_side, side_path
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
 
@@ -267,7 +267,10 @@ class Run:
             words = f"{word!r} answered several times: {', '.join(found)}; give one of these names"
             raise RunError(f"{self.folder}: {words}")
         has = ", ".join(names) or "none"
-        raise RunError(f"{self.folder}: no method {word!r}{nearest(word, names)}; it has {has}")
+        functions = [str(e.source.get("function", "")).partition(":")[0] for e in self.entries]
+        short = [f.rpartition(".")[2].replace("_", "-") for f in functions if f]
+        near = nearest(word, short) or nearest(word, names)
+        raise RunError(f"{self.folder}: no method {word!r}{near}; it has {has}")
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone, in stored order.
@@ -431,7 +434,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, reception, transfer or viewed.
+            folder: held, picked, reception, transfer or viewed.
             path: the file; None: that of the method.
 
         Raises:
@@ -443,6 +446,22 @@ class Run:
         rows = self.trials(method, ["trial_id", "outcome"])
         won = pc.equal(rows["outcome"].cast(pa.string()), "success").to_numpy()
         return read_side(path, rows["trial_id"].to_numpy(), won)
+
+    def keeps(self, method: str, path: Path, schema: pa.Schema) -> bool:
+        """Whether a file beside a method's shards is as it was written, with these columns, about the trials of the run.
+
+        Args:
+            method: its name.
+            path: of the file; it may be missing.
+            schema: of its rows.
+        """
+        if not is_kept(path, schema, len(self.trials(method, ["trial_id"]))):
+            return False
+        try:
+            self.side(method, path.parent.name, path)
+        except RunError:
+            return False
+        return True
 
     def verify(self, *, whole: bool = False) -> None:
         """Raise `RunError` unless every stored shard is as it was written.

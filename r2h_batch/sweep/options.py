@@ -449,8 +449,7 @@ def check(options: Options) -> Options:
         raise UsageError(f"nothing to score: give --method {' '.join(METHOD_NAMES)}, {flags}")
     bases = [base_of(name) for name in options.method]
     for name, base in zip(options.method, bases, strict=True):
-        if base not in METHOD_NAMES and ":" not in base:
-            _check_installed(base)
+        check_method(base)
         if base in METHOD_NAMES and own_name(name):
             words = f"{base} is built in and keeps its name in tables; leave {own_name(name)}= out"
             raise UsageError(f"--method {name}: {words}")
@@ -680,8 +679,17 @@ GIVEN = (
 `--method contact,gate=ik`."""
 
 
-def _check_installed(name: str) -> None:
-    """That a package gives this method; `spelled_out` says where."""
+def check_method(name: str) -> None:
+    """That a method is built in, somebody's own, or given by a package; `spelled_out` says where.
+
+    Args:
+        name: as `base_of` says it.
+
+    Raises:
+        UsageError: one line with the names that are known.
+    """
+    if name in METHOD_NAMES or ":" in name:
+        return
     try:
         known = tuple(METHODS)
         if name in known and METHODS.outside(name):

@@ -13,6 +13,7 @@ from r2h_batch.base.io.progress import busy
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, PRESET_NAMES
 from r2h_batch.base.validate import (
     check_keywords,
+    describe_value,
     instance_of,
     integer,
     one_of,
@@ -20,13 +21,14 @@ from r2h_batch.base.validate import (
     sequence_of,
     text,
 )
-from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
+from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv, checked_motion
 from r2h_batch.closed_loop.from_table import Phase, TableHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.config import EvalConfig
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.jobs import make_jobs, prepare
+from r2h_batch.sweep.options import base_of, check_method, spelled_out
 from r2h_batch.sweep.request import Methods, Work
 from r2h_batch.types import CRITERIA, Predictions, Scores
 from r2h_batch.verdicts import SPLITS
@@ -39,6 +41,12 @@ from r2h_batch.view.stored_trial import StoredTrial
 LEAST_TRIALS = 30
 SIZE = (640, 480)
 """Width and height of a picture, pixels."""
+
+
+def _check_render_mode(mode: object) -> None:
+    """`ValueError` for another render mode than None and rgb_array."""
+    if mode not in (None, *_DRAWS["render_modes"]):
+        raise ValueError(f"render_mode is {describe_value(mode)}; allowed are None and 'rgb_array'")
 
 
 class DrawnHandoverEnv(HandoverEnv):
@@ -56,8 +64,7 @@ class DrawnHandoverEnv(HandoverEnv):
     ) -> None:
         super().__init__(scores, *args, **more)
         self.metadata = {**self.metadata, **_DRAWS, "render_fps": self.config.rate_hz}
-        if render_mode not in (None, *_DRAWS["render_modes"]):
-            raise ValueError(f"render_mode is {render_mode!r}; allowed are None and 'rgb_array'")
+        _check_render_mode(render_mode)
         self.render_mode = render_mode
         self._drawings: dict[tuple[int, bytes], tuple[EpisodeDrawing, View]] = {}
 
@@ -113,6 +120,8 @@ class DrawnTableHandoverEnv(DrawnHandoverEnv, TableHandoverEnv):
 
 _INNER = ("self", "scores", "more")
 """Names of parameters that a caller of `make_vec` does not give."""
+_WAYS = ("action", "release", "output", "privileged")
+"""Arguments of `HandoverEnv` that are checked before a method answers."""
 _DRAWS: dict[str, Any] = {"render_modes": ["rgb_array"]}
 
 
@@ -165,16 +174,23 @@ def make_vector(
     integer(0)("seed", seed)
     optional(integer(1))("trials", trials)
     text("method", method)
+    check_method(base_of(method))
     optional(instance_of(LoopConfig, "LoopConfig(rate_hz=..., latency_s=...)"))("config", config)
+    _check_render_mode(render_mode)
     if not isinstance(benchmark, Benchmark):
         benchmark = load_benchmark(DEFAULT_PROTOCOL if benchmark is None else benchmark)
+    named = {name: more[name] for name in _WAYS if name in more}
+    from_table = "pick" in benchmark.asks
+    checked_motion(
+        motion, autoreset=autoreset, from_table=from_table, **named
+    )  # a method answers for seconds
     chosen = (splits,) if isinstance(splits, str) else sequence_of(str)("splits", splits)
     one_of(*PRESET_NAMES)("preset", preset)
     plan = dict.fromkeys(chosen, trials or max(LEAST_TRIALS, num_envs))
     how = EvalConfig.preset(preset)
     how = benchmark.config(replace(how, execute=replace(how.execute, sim="none")))
     setting = prepare(benchmark, plan, how, Work(device, threads, 0, (1, 1), None), None)
-    jobs = make_jobs(Methods(names=(method,), seed=seed), [], setting)
+    jobs = make_jobs(Methods(names=(spelled_out(method),), seed=seed), [], setting)
     asked = setting.trials(setting.ids(0, setting.planned)).to(setting.evaluator.scene.device)
     answer = jobs[0].predict(asked, None)
     scores = setting.evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
@@ -187,7 +203,7 @@ def make_vector(
         "autoreset": autoreset,
         "render_mode": render_mode,
     }
-    drawn = DrawnTableHandoverEnv if "pick" in benchmark.asks else DrawnHandoverEnv
+    drawn = DrawnTableHandoverEnv if from_table else DrawnHandoverEnv
     return drawn(scores, motion, config=config, **made, **more)
 
 

@@ -21,13 +21,20 @@ def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoic
         method: the sweep's word (fc) or the table's name; without it a line for each method, and all of the only one.
         benchmark: where its files are now, if they are not where the sweep found them.
     """
+    from r2h_batch.runs.store import load_run
+
+    stored = load_run(run)
+    words = [method] if method else list(stored.methods)
+    if not words:
+        raise UsageError(f"{run}: no method is complete; run its sweep again to go on")
+    number = stored.trial_id(trial)
+    for word in words:
+        stored.row(number, stored.named(word))  # what is not there is told before torch is imported
+
     from r2h_batch.view.stored import Reader
 
     reader = Reader(run, benchmark)
-    names = [reader.method(method)] if method else list(reader.run.methods)
-    if not names:
-        raise UsageError(f"{run}: no method is complete; run its sweep again to go on")
-    number = reader.run.trial_id(trial)
+    names = [reader.method(word) for word in words]
     for k, name in enumerate(names):
         print(("\n" if k else "") + str(explanation(reader, number, name)))
     return 0

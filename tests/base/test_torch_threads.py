@@ -8,7 +8,7 @@ from problems import default_evaluator, make_batch
 from torch.overrides import TorchFunctionMode
 
 from r2h_batch.base import launch
-from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.base.launch.threads import on_threads, one_torch_thread
 from r2h_batch.judge.ik import solve_ik
 
 
@@ -79,3 +79,11 @@ def test_a_thread_that_begins_during_a_call_has_the_programs_number():
     with one_torch_thread("cpu"), ThreadPoolExecutor(1) as other:
         assert torch.get_num_threads() == 1
         assert other.submit(torch.get_num_threads).result() == 2
+
+
+@pytest.mark.parametrize(("asked", "torch_has"), [(1, 1), (2, 2), (None, 2)])
+def test_one_worker_is_one_thread_of_torch_too(asked, torch_has):
+    """Two sweeps with `--threads 1` on two cores: torch's threads of both spun, and one with networks took twice its time."""
+    with on_threads(asked):
+        assert torch.get_num_threads() == torch_has
+    assert torch.get_num_threads() == 2

@@ -546,6 +546,9 @@ def test_rows_begin_anew_one_by_one_and_an_episode_does_not_depend_on_when(score
     assert min(env.length_queue) >= 20 and max(env.length_queue) <= 80
     with pytest.raises(ValueError, match=r"reset_mask is int64 \(4,\); it must be bool"):
         alone.reset(options={"reset_mask": np.arange(4)})
+    for other in ("reset_msk", "trial", 1):
+        with pytest.raises(ValueError, match=f"options of reset hold {other!r}; 'reset_mask' alone is allowed"):
+            alone.reset(options={"reset_mask": mask, other: mask})
 
 
 def test_more_handovers_than_rows_come_in_turn(scores):

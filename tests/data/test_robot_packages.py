@@ -4,8 +4,12 @@ import sys
 
 import pytest
 from refusals import one_line
+from robot_files import write_urdf
 
 from r2h_batch.base.errors import UsageError
+from r2h_batch.data.robot_chain import read_chain
+from r2h_batch.data.robot_links import Meshes
+from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_packages import file_from
 
 
@@ -69,3 +73,20 @@ def test_what_is_not_there_is_said_in_one_line(installed, source, words):
 def test_a_source_without_both_names_is_refused(source):
     with pytest.raises(UsageError, match="write PACKAGE:NAME"):
         file_from(source)
+
+
+def test_a_package_whose_folder_has_another_name_is_found_within_what_was_given(tmp_path):
+    where = tmp_path / "whole" / "arm_files" / "urdf"
+    where.mkdir(parents=True)
+    path = write_urdf(where, **{'"parts/block.stl"': '"package://arm_support/parts/block.stl"'})
+    (where / "parts").rename(where.parent / "parts")
+    block = next(g for part in read_chain(read_model(path), "base", "flange").links for g in part.geoms if g.file)
+    with pytest.warns(UserWarning, match="package://arm_support is the folder arm_files, which holds what it names"):
+        found = Meshes(read_model(path, [tmp_path / "whole"]), [block], {}).triangles(block)
+    assert found.shape == (12, 3, 3)
+    for folders in ([], [tmp_path / "whole" / "arm_files" / "urdf"]):  # what the user did not give is not looked into
+        with one_line("give --package arm_support=FOLDER"):
+            Meshes(read_model(path, folders), [block], {})
+    for inside in ("parts/../parts/block.stl", "parts", "parts/none.stl"):
+        with one_line("give --package arm_support=FOLDER"):
+            Meshes(read_model(path, [tmp_path]), [block._replace(file=f"package://arm_support/{inside}")], {})

@@ -424,6 +424,22 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     assert after <= before + 1, (before, after)
 
 
+@pytest.mark.parametrize(("threads", "torch_has"), [(1, 1), (None, 2)])
+def test_networks_of_methods_that_see_work_on_the_threads_of_the_sweep(threads, torch_has):
+    def asks(trials, scene):
+        counted.append(torch.get_num_threads())
+        return Predictions(trials.trial_id, *(torch.eye(4).repeat(len(trials), 1, 1) for _ in range(2)))
+
+    counted, before = [], torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        asked_here = AskedHere(asks, (), {}, cell()[0].benchmark, EvalConfig(), noise=1.0, threads=threads)
+        asked_here.ask(view()[:1])
+    finally:
+        torch.set_num_threads(before)
+    assert counted == [torch_has]
+
+
 def test_methods_keep_the_room_that_planning_keeps_where_a_trial_begins_on_the_table():
     for name, room in each((("r2h-v2", 0.0), ("r2h-v3-draft", ROOM_M))):
         benchmark = load_benchmark(name)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from made_runs import table_1, write_run
 from needs import CHROMIUM, needs
+from rounds import each
 
 from r2h_batch.report import page
 from r2h_batch.report.statistics.paired import compare, pair_up
@@ -107,3 +108,12 @@ def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(
     assert 'alt="&lt;x&gt;"' in shown and '<a href="t.html"' in shown and "<h2>Gallery</h2>" in shown
     assert "<code>r2h-batch view RUN --trial 3</code>" in shown
     assert trials_of(shown)["pages"][run.methods[0]] == {"3": "t.html"}
+
+
+@pytest.mark.parametrize("n", [9, 10])
+def test_rates_of_fewer_than_ten_trials_are_grey_in_every_table(tmp_path, n):
+    text = page.page(write_run(tmp_path / "run", {"mine": np.zeros(2 * n, int)}, n, n))
+    top, whole = (re.search(rf"<table id={i}.*?</table>", text, re.S) for i in ("overview", "full"))
+    for table in each([top, whole]):
+        grey = re.findall(r'<td class=few title="of (\d+)"', table[0])
+        assert (len(grey) > 0) == (n < 10) and set(grey) <= {"9"}

@@ -133,6 +133,41 @@ def test_a_file_that_was_edited_is_one_line_and_verify_sets_it_aside(run, what, 
     assert main(["report", str(run)]) == 0
 
 
+PICKED = pa.table(
+    {
+        "trial_id": pa.array(range(N), pa.int64()),
+        **{k: pa.array(["x"] * N) for k in ("object", "split", "pick_reason", "pick_pair")},
+        **{k: pa.array([True] * N) for k in ("success", "picked")},
+    }
+)
+FORGED = {
+    "trials of another run": PICKED.set_column(0, "trial_id", pa.array(range(10, 10 + N), pa.int64())),
+    "a trial twice": PICKED.take([0, *range(N)]),
+    "another success": PICKED.set_column(
+        PICKED.column_names.index("success"), "success", pa.array([False] + [True] * (N - 1))
+    ),
+    "a gap": PICKED.set_column(PICKED.column_names.index("picked"), "picked", pa.array([None] + [True] * (N - 1))),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_table_that_says_what_the_shards_do_not_is_not_kept_though_its_digest_matches(run, what, capsys):
+    stored, path = load_run(run), run / "picked" / "m.parquet"
+    assert not stored.keeps("m", path, PICKED.schema)
+    write_side(path, PICKED, {})
+    assert stored.keeps("m", path, PICKED.schema) and not stored.keeps("m", path, PICKED.schema.remove(1))
+    write_side(path, FORGED[what], {})
+    assert is_kept(path, PICKED.schema, N) and not stored.keeps("m", path, PICKED.schema)
+    assert main(["results", "verify", str(run)]) == 1 and not path.exists()
+    assert str(path.relative_to(run)) in capsys.readouterr().out
+
+
+def test_what_picked_stores_is_a_file_beside_the_shards_and_no_link(run, capsys):
+    (run / "picked").symlink_to(run.parent)
+    assert main(["report", str(run)]) == 2
+    assert "picked" in (said := capsys.readouterr().err) and "symbolic link" in said
+
+
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_the_digest_does_not_depend_on_how_many_rows_come_at_once(run, size):
     rows = table(outcome=pa.array(["taken", "dropped"] * 3), slip_m=pa.array([0.1, None] * 3, pa.float32()))

@@ -127,7 +127,7 @@ URDF = """<robot name="one"><link name="base"><visual><geometry><mesh filename="
         (URDF.replace("{kind}", "prismatic"), "turn is prismatic"),
         (URDF.replace("{mesh}", "../a.stl"), "points outside the folder"),
         (URDF.replace("{mesh}", "package://arm/a.stl"), "--package arm=FOLDER"),
-        (URDF.replace('velocity="1"', ""), "velocity and effort above 0"),
+        (URDF.replace('velocity="1"', 'velocity="-1"'), "velocity -1; it must be above 0, or left out for 2 rad/s"),
         (URDF.replace("0 0 1", "0 nan 1"), "3 numbers"),
         (URDF.replace("</robot>", 300 * '<joint name="j"/>' + "</robot>"), "301 links or joints"),
     ],

@@ -25,11 +25,11 @@ LINE = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "learne
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """The same method in one shard, and in shards of five; and one that was told the truth."""
+    """The same method in one shard, and in shards of five with other chunks and threads; and one that was told the truth."""
     folder = tmp_path_factory.mktemp("believed")
     for name, more in (
         ("one", ["--sees", "cell-v1"]),
-        ("five", ["--sees", "cell-v1", "--shard-trials", "5"]),
+        ("five", ["--sees", "cell-v1", "--shard-trials", "5", "--chunk", "3", "--threads", "2"]),
         ("truth", []),
     ):
         done = in_process(*LINE, *more, "--out", folder / name)
@@ -51,9 +51,15 @@ def rows(folder):
     return run.trials(run.methods[0]).sort_by("trial_id").drop_columns(["t_plan_s", "t_method_s"]).to_pylist()
 
 
-def test_rows_are_the_same_in_shards(runs):
+def test_rows_are_the_same_in_shards_chunks_threads_and_when_a_run_goes_on(runs):
     a, b = (rows(runs / name) for name in ("one", "five"))
     assert len(a) == 16 and str(a) == str(b)
+    lost = next((runs / "five" / "shards").rglob("*.parquet"))
+    lost.unlink()
+    assert load_run(runs / "five").unfinished
+    line = [*LINE, "--sees", "cell-v1", "--shard-trials", "5", "--threads", "1", "--out", runs / "five"]
+    assert in_process(*line).returncode == 0
+    assert not load_run(runs / "five").unfinished and str(rows(runs / "five")) == str(a)
 
 
 def test_a_run_says_that_its_arms_were_planned_by_what_was_seen(runs):

@@ -199,3 +199,25 @@ def test_a_board_of_a_draft_says_so_and_has_no_baselines(tmp_path, capsys):
     code, lines = board(out, runs[0], baselines=runs[1], least=1)
     assert code == 0 and "no baselines" not in out.read_text()
     assert {who for _, _, who in lines} == {"seed0", "baseline"}
+
+
+def test_a_board_of_a_draft_compares_no_run_with_one_whose_methods_see_or_that_is_judged_otherwise(tmp_path):
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "--trials", "2", "--sim", "none"]
+    more = {
+        "truth": [],
+        "chunk": ["--seed", "1", "--chunk", "64"],
+        "seen": ["--sees", "cell-v1", "--seed", "2"],
+        "told": ["--sees", "cell-v1,region=told"],
+        "strict": ["--seed", "3", "--set", "plan.edge_check=moveit"],
+    }
+    for name, flags in more.items():
+        assert sweep([*line, *flags, "--out", str(tmp_path / name)]) == 0
+    out = tmp_path / "board.html"
+    code, lines = board(out, *(tmp_path / name for name in more), least=1)
+    assert code == 0 and {who for _, _, who in lines} == {*more}
+    _, *sections = out.read_text().split("<h2")
+    held = [{name for name in more if f">{name}<" in section} for section in sections]
+    assert sorted(map(sorted, held)) == [["chunk", "truth"], ["seen"], ["strict"], ["told"]]
+    words = next(s for s in sections if ">told<" in s)
+    assert "cell-v1, noise 1" in words and "region told" in words
+    assert sum("the truth" in s for s in sections) == 2

@@ -11,7 +11,8 @@ from needs import needs
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.closed_loop.env import LoopConfig
-from r2h_batch.closed_loop.registered import ID, register
+from r2h_batch.closed_loop.registered import ID, TABLE_ID, register
+from r2h_batch.view import environment
 
 SMALL = {"method": "random", "trials": 3, "config": LoopConfig(horizon_s=1)}
 
@@ -39,15 +40,39 @@ def test_a_vector_of_them_is_made_by_name_and_plays():
     ):
         with pytest.raises(error, match=words):
             gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
-    with pytest.raises(UsageError, match="no-such"):
+    with pytest.raises(UsageError, match="unknown method 'no-such'; allowed are random, oracle, "):
         gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", method="no-such")
+
+
+@pytest.mark.parametrize(
+    ("name", "wrong", "error", "words"),
+    [
+        (ID, {"motion": "flies"}, ValueError, "receiver motion is 'flies'"),
+        (ID, {"action": "jump"}, ValueError, "action is 'jump'; allowed are velocity, twist, pose, posture"),
+        (ID, {"output": "jax"}, ValueError, "output is 'jax'; allowed are numpy, torch"),
+        (ID, {"privileged": "yes"}, TypeError, "privileged is 'yes'"),
+        (ID, {"autoreset": 1}, TypeError, "autoreset is 1"),
+        (ID, {"release": "load-share"}, ValueError, "release needs receivers that take"),
+        (ID, {"release": 3, "motion": "takes"}, TypeError, "release is 3"),
+        (ID, {"release": "action", "motion": "takes", "action": "pose"}, ValueError, 'not "pose"'),
+        (ID, {"render_mode": ["rgb_array"]}, ValueError, "render_mode is .*; allowed are None and 'rgb_array'"),
+        (TABLE_ID, {"action": "pose"}, ValueError, 'an action that moves the gripper too needs .*, not "pose"'),
+    ],
+)
+def test_a_wrong_argument_is_refused_before_a_method_answers(name, wrong, error, words, monkeypatch):
+    monkeypatch.setattr(environment, "prepare", lambda *_: pytest.fail("trials were drawn"))
+    with pytest.raises(error, match=words):
+        gymnasium.make_vec(name, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
 
 
 @needs("gl")
 def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
     env = gymnasium.make(ID, render_mode="rgb_array", **SMALL)
     check_env(env.unwrapped)
-    env.reset(seed=0)
+    for wrong, error in (({"seed": -1}, "seed is -1"), ({"options": {"trial": 3}}, "of one handover has none")):
+        with pytest.raises(ValueError, match=error):
+            env.unwrapped.reset(**wrong)
+    env.reset(seed=0, options={})
     first = env.render()
     for _ in range(8):
         env.step(env.action_space.high)

@@ -1,6 +1,16 @@
 """`why` of a failed plan names the pair that its margin is about, as page and picture do."""
 
+import dataclasses
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from made_runs import write_run
+from rounds import each
+
 from r2h_batch.__main__ import main
+from r2h_batch.runs.files import RunError
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
@@ -15,3 +25,38 @@ def test_why_of_a_failed_plan_says_what_its_picture_shows(run, capsys):
         said = capsys.readouterr().out
         assert Drawing(reader.trial(trial, "random")).witness.caption in said
         assert "criterion:  plan" in said and f"{1e3 * row['margin_plan_m']:+.1f} mm" in said
+
+
+def test_a_trial_or_method_that_is_not_there_is_told_before_torch_is_imported(run):
+    """That takes four seconds, and `Run.named` knows the sweep's word for a method."""
+    asked = "code = main(sys.argv[1:]); sys.exit(code + 10 * ('torch' in sys.modules))"
+    program = f"import sys; from r2h_batch.__main__ import main; {asked}"
+    for words, said in each(
+        [
+            (["99999", "--method", "random"], "has no trial 99999"),
+            (["1", "--method", "randm"], ", did you mean random?; it has"),
+        ]
+    ):
+        done = subprocess.run([sys.executable, "-c", program, "why", str(run), *words], capture_output=True, text=True)
+        assert done.returncode == 2 and said in done.stderr.splitlines()[-1], done.stderr
+
+
+@pytest.mark.parametrize(
+    ("typed", "near"), [("contakt", "contact"), ("handover-vs", "handover-va"), ("Lerned", "Learned")]
+)
+def test_a_method_that_a_run_does_not_have_is_compared_with_names_and_words(tmp_path, typed, near):
+    def function(word):
+        return {"function": f"r2h_batch.methods.{word.replace('-', '_')}:predict"}
+
+    run = write_run(
+        tmp_path / "run", {"Contact-Handover (VoxNet)": np.zeros(4, int), "Learned": np.zeros(4, int)}, 2, 2
+    )
+    run = dataclasses.replace(
+        run,
+        entries=tuple(
+            dataclasses.replace(entry, source=function(word))
+            for entry, word in zip(run.entries, ("contact", "handover-va"), strict=True)
+        ),
+    )
+    with pytest.raises(RunError, match=rf"no method '{typed}', did you mean {near}\?; it has"):
+        run.named(typed)

@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from contextvars import ContextVar
 from functools import cache, lru_cache
 from itertools import chain, pairwise
@@ -33,10 +33,11 @@ _threads: ContextVar[int | None] = ContextVar("threads", default=None)
 @contextmanager
 def on_threads(threads: int | None) -> Iterator[None]:
     """Kernels that this thread of the program launches inside have so many workers; None: one per
-    core."""
+    core. With one, torch works on one thread too: several such programs share a machine."""
     before = _threads.set(threads)
     try:
-        yield
+        with one_torch_thread("cpu") if threads == 1 else nullcontext():
+            yield
     finally:
         _threads.reset(before)
 

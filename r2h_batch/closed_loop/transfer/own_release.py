@@ -1,5 +1,6 @@
 """Release policies by their names, and a user's class: how it is found, made, asked, and its answers checked."""
 
+import math
 from collections.abc import Callable
 from functools import partial
 from typing import Any, TypeAlias
@@ -15,6 +16,8 @@ from r2h_batch.runs import provenance
 
 Policy: TypeAlias = Callable[[Observation], Action]
 
+MOST_SHIFT_M, ROUNDING = 0.5, 1e-6
+"""How far along each axis the robot may move its hand from the handover pose [choice]; by how much an effort may be above 1."""
 SHOWN = 100
 """Letters of a wrong answer that a message shows."""
 
@@ -119,7 +122,8 @@ class _Checked:
         if field == "open":
             return value
         # another device would have to wait for the answer
-        odd = value.isnan() if field == "surplus_n" else ~value.isfinite()
+        low, high = _RANGES[field]
+        odd = ~((value >= low) & (value <= high))
         if value.device.type == "cpu" and bool(odd.any()):
             number = float(value[odd][0])
             raise ReleaseError(
@@ -131,8 +135,13 @@ class _Checked:
 _FLOATS = (torch.float64, torch.float32)
 _NUMBERS = {
     "squeeze": "finite numbers, 0 to 1",
-    "shift": "finite numbers, m",
+    "shift": f"finite numbers, {-MOST_SHIFT_M:g} to {MOST_SHIFT_M:g} m",
     "surplus_n": "numbers, N; -inf where nothing is known yet",
+}
+_RANGES = {
+    "squeeze": (-ROUNDING, 1.0 + ROUNDING),
+    "shift": (-MOST_SHIFT_M, MOST_SHIFT_M),
+    "surplus_n": (-math.inf, math.inf),
 }
 
 

@@ -133,7 +133,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     if robots and follow:
         skipped |= {"robot", "benchmark", "trials"}
     if left["digests"].get("sees") != right["digests"].get("sees"):
-        return f"what their methods see ({_seeing(left)}, {_seeing(right)})"
+        return f"what their methods see ({seeing(left)}, {seeing(right)})"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"
@@ -145,8 +145,12 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     return ""
 
 
-def _seeing(header: Mapping[str, Any]) -> str:
-    """The sight of a run's methods, in words."""
+def seeing(header: Mapping[str, Any]) -> str:
+    """The sight of a run's methods, in words.
+
+    Args:
+        header: of the run.
+    """
     sees = header.get("sees")
     if sees is None:
         return "the truth"

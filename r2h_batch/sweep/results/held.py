@@ -18,7 +18,7 @@ from r2h_batch.judge.grasp_physics import DROPPED_M, TORSION_M
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.held import FOLDER, MADE_OF
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
-from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
+from r2h_batch.runs.side import about_side, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of, judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -85,8 +85,7 @@ def write_tables(
         for name in names:
             path = written[name] = side_path(run.entry(name), FOLDER, own)
             made_of = {"rows": run.digest(name), "code": code}
-            trials = len(run.trials(name, ["trial_id"]))
-            if about_side(path, MADE_OF) == made_of and is_kept(path, SCHEMA, trials):
+            if about_side(path, MADE_OF) == made_of and run.keeps(name, path, SCHEMA):
                 LOG.info(f"{name}: {path} has these rows")
                 continue
             rows = _rows(run, name, judge, simulated)

@@ -1,9 +1,7 @@
 """Objects of a stored run that the arm can pick from the table with the stored grasps (`results picked`)."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -12,12 +10,12 @@ import torch
 
 from r2h_batch.base.io.cache import code_digest
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.write import atomic_path
 from r2h_batch.judge.pick import ROWS, PickReason, picked
 from r2h_batch.observe.moment import moments
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.runs.files import RunError
+from r2h_batch.runs.side import about_side, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.reception import judge_of
 from r2h_batch.sweep.results.reevaluation import Judge
@@ -98,27 +96,15 @@ def write_tables(
             )
     code, written = code_digest(CODE, VERSIONS), {}
     for name in names:
-        path = written[name] = run.folder / FOLDER / f"{run.entry(name).slug}.parquet"
+        path = written[name] = side_path(run.entry(name), FOLDER)
         made_of = {"rows": run.digest(name), "code": code, "seed": seed, "device": device[:3]}
-        if _made_of(path) == made_of:
+        if about_side(path, MADE_OF) == made_of and run.keeps(name, path, SCHEMA):
             LOG.info(f"{name}: {path} has these rows")
             continue
-        schema = SCHEMA.with_metadata({MADE_OF: json.dumps(made_of).encode()})
-        path.parent.mkdir(exist_ok=True)
-        with atomic_path(path) as new, pq.ParquetWriter(new, schema) as writer:
+        with side_writer(path, SCHEMA, {MADE_OF: made_of}) as writer:
             for table in _tables(run, name, judge, seed):
-                writer.write_table(table.replace_schema_metadata(schema.metadata))
+                writer.write(table)
     return written
-
-
-def _made_of(path: Path) -> Any:
-    """The rows, code and seed that a file was made of; None: it is missing or no such file."""
-    if not path.is_file():
-        return None
-    try:
-        return json.loads(pq.read_schema(path).metadata[MADE_OF])
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError):
-        return None
 
 
 def _tables(run: Run, method: str, judge: Judge, seed: int) -> Iterator[pa.Table]:

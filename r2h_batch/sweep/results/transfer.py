@@ -31,7 +31,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.statistics.aggregate import clustered_rate
 from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
 from r2h_batch.report.transfers import FOLDER, MADE_OF
-from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
+from r2h_batch.runs.side import about_side, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
@@ -132,7 +132,7 @@ def write_tables(
             entry = run.entry(name)
             path = side_path(entry, FOLDER)
             made_of = {"rows": run.digest(name), "code": code, "seed": seed, "sim": sim}
-            stored = Stored.read(path, made_of, len(run.trials(name, ["trial_id"])))
+            stored = Stored.read(run, name, path, made_of)
             todo = [c for c in cases if stored.policies.get(c) != policies[c.release]]
             written[name] = path
             if not todo:
@@ -165,12 +165,12 @@ class Stored:
         self.path, self.policies = path, policies
 
     @staticmethod
-    def read(path: Path, made_of: dict[str, Any], trials: int) -> "Stored":
+    def read(run: Run, method: str, path: Path, made_of: dict[str, Any]) -> "Stored":
         """The cases of a file, none if it is missing, was made of other rows or by other code, or is not as it was
         written."""
         about = about_side(path, MADE_OF)
         same = about and {k: about.get(k) for k in made_of} == made_of
-        if not same or not is_kept(path, SCHEMA, trials):
+        if not same or not run.keeps(method, path, SCHEMA):
             return Stored(path, {})
         try:
             cases = {Case(*c): str(text) for *c, text in about["cases"]}

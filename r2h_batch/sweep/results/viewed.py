@@ -18,7 +18,7 @@ from r2h_batch.observe.seen import LABELS
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.report.text import aligned, notes_list, plain, short_names
 from r2h_batch.report.viewed import FOLDER, MADE_OF, mean_share
-from r2h_batch.runs.side import about_side, is_kept, side_path, side_writer
+from r2h_batch.runs.side import about_side, side_path, side_writer
 from r2h_batch.runs.store import Run
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.results.reception import judge_of_bodies, judged_again
@@ -73,8 +73,7 @@ def write_tables(run: Run, benchmark: BenchmarkChoice, *, device: str) -> dict[s
     for name in names:
         path = written[name] = side_path(run.entry(name), FOLDER)
         made_of = {"rows": run.digest(name), "code": code, "device": device[:3]}
-        trials = len(run.trials(name, ["trial_id"]))
-        if about_side(path, MADE_OF) == made_of and is_kept(path, SCHEMA, trials):
+        if about_side(path, MADE_OF) == made_of and run.keeps(name, path, SCHEMA):
             LOG.info(f"{name}: {path} has these rows")
             continue
         with side_writer(path, SCHEMA, {MADE_OF: made_of}) as writer:

@@ -25,7 +25,7 @@ from r2h_batch.sweep.study.table_file import (
     read_table,
     words,
 )
-from r2h_batch.verdicts import CRITERIA
+from r2h_batch.verdicts import CRITERIA, IN_ORDER
 
 RATE_COLUMNS = {"method": NAME, "real_sr": PERCENT, "real_t_tot_s": number(0, 1e5)}
 OUTCOMES = ("success", "failure")
@@ -34,7 +34,8 @@ OUTCOME_COLUMNS: dict[str, Column] = {
     "failed_criterion": optional(words(CRITERIA)),
     "seconds": optional(number(0, 1e5)),
 }
-"""Cells that somebody fills in for each trial; an empty outcome is a trial that was not run."""
+"""Cells that somebody fills in for each trial; an empty outcome is a trial that was not run. A benchmark may ask for more
+criteria (`Run.asks`)."""
 TRIAL_COLUMNS = {"trial_id": number(0, 2**63 - 1, whole=True), "method": NAME, **OUTCOME_COLUMNS}
 OF_RATES = 3
 """Fewer methods have no rank correlation."""
@@ -141,7 +142,9 @@ def paired_trials(run: Path, file: Path) -> tuple[dict[str, Pairs], int]:
     stored = load_run(run)
     lines: dict[str, dict[int, Mapping[str, Any]]] = {}
     empty = 0
-    for line in read_table(file, TRIAL_COLUMNS):
+    judged_by = [e.name for e in IN_ORDER if e.name in (*CRITERIA, *stored.asks)]
+    columns = TRIAL_COLUMNS | {"failed_criterion": optional(words(judged_by))}
+    for line in read_table(file, columns):
         where = f"{file}: line {line[LINE]}"
         name, trial = stored.named(line["method"]), int(line["trial_id"])
         if trial in lines.setdefault(name, {}):
@@ -205,7 +208,7 @@ def _by_criterion(found: Mapping[str, Pairs]) -> str:
     """A table of what the robot did, for each outcome of the run."""
     counts = Counter(pair for p in found.values() for pair in p.failed)
     lines = []
-    for outcome in ("success", *CRITERIA):
+    for outcome in ("success", *(e.name for e in IN_ORDER)):
         row = {b: n for (a, b), n in counts.items() if a == outcome}
         if total := sum(row.values()):
             same = row.get(outcome, 0)

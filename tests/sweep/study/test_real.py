@@ -10,6 +10,7 @@ from statsmodels.stats.proportion import confint_proportions_2indep, proportion_
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.study import real
 
 COLUMNS = ("trial_id", "method", "outcome", "failed_criterion", "seconds")
@@ -97,6 +98,28 @@ def test_agreement_is_counted_by_outcome(paper_rows, judged, tmp_path, capsys):
     lines = [[c.strip() for c in x.strip("|").split("|")] for x in text.splitlines()]
     assert ["plan", "1", "1", "100", "-"] in lines
     assert "failure, no criterion noted 1" in text
+
+
+def test_a_draft_that_begins_on_the_table_has_its_own_criteria(paper_rows, judged, tmp_path, capsys):
+    """In the table that a lab fills in, and in the agreement by outcome."""
+    folder, name = tmp_path / "draft", "random"
+    line = ["--benchmark", "r2h-v3-draft", "--method", name, "--trials", "3", "--sim", "none"]
+    assert sweep([*line, "--out", str(folder)]) == 0
+    stored = {r["trial_id"]: r["outcome"] for r in load_run(folder).trials(name).to_pylist()}
+    failed = [i for i, outcome in stored.items() if outcome == "pick"]
+    words = ("taken", "received", *["pick"] * len(stored))
+    rows = [(i, name, "failure", word, "") for i, word in zip(failed, words)]
+    capsys.readouterr()
+    assert len(rows) > 2
+    assert main(["study", "real", str(folder), str(write(tmp_path / "t.csv", rows))]) == 0
+    lines = [[c.strip() for c in x.strip("|").split("|")] for x in capsys.readouterr().out.splitlines()]
+    same = len(rows) - 2
+    assert ["pick", str(len(rows)), str(same), f"{100 * same / len(rows):.0f}", "received 1, taken 1"] in lines
+    # nobody judged the paper's rows by these
+    own = next(iter(judged.values()))[0]
+    file = write(tmp_path / "t.csv", [(own["trial_id"], paper_rows.methods[0], "failure", "taken", "")])
+    assert main(["study", "real", str(paper_rows.folder), str(file)]) == 2
+    assert "failed_criterion taken; allowed are stability, plan" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
