@@ -137,7 +137,7 @@ def busy(name: str) -> Iterator[None]:
 @contextlib.contextmanager
 def not_silent(name: str) -> Iterator[None]:
     """Says every few seconds that a command works, while nothing else is said: reading and drawing come before what
-    `progress` counts.
+    `progress` counts. Once, also while that counts: it may just have begun.
 
     Args:
         name: of the command.
@@ -145,11 +145,12 @@ def not_silent(name: str) -> Iterator[None]:
     ended, start = threading.Event(), time.perf_counter()
 
     def speak() -> None:
+        counted: list[str] = []
         wait, before = SILENT_S, lines_said()
         while not ended.wait(wait):
-            if lines_said() == before and not _bars and not _counted:
+            if lines_said() == before and not _bars and not counted:
                 LOG.info(f"{name}: working, {time.perf_counter() - start:.0f} s")
-            wait, before = SOON_S, lines_said()
+            wait, before, counted = SOON_S, lines_said(), _counted
 
     speaker = threading.Thread(target=speak, name=f"{name} is not silent", daemon=True)
     speaker.start()
