@@ -116,7 +116,7 @@ def scores(judge, asked):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("from_table")
-    runs = (("whole", "0", ()), ("parts", "5", ()), ("presents", "0", ("--until", "present")))
+    runs = (("whole", "0", ()), ("parts", "5", ("--threads", "1")), ("presents", "0", ("--until", "present")))
     for name, shard, more in each(runs):
         assert sweep([*LINE, *more, "--shard-trials", shard, "--out", str(where / name)]) == 0
     return where
@@ -499,7 +499,7 @@ def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
     assert np.array_equal(found.chosen(np.array([1]), np.array([0.5]), below[:1]), below[:1])
 
 
-def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards(folder):
+def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thread(folder):
     whole, parts = (load_run(folder / name) for name in ("whole", "parts"))
     asks = ["pick", "received", "taken"]
     assert list(whole.asks) == asks == read_json(folder / "whole" / "run.json", most=1 << 24)["asks"]
