@@ -157,7 +157,8 @@ def test_what_overlaps_is_named_with_the_gripper_open_or_closed(arm):
 
 @needs("gl")
 def test_the_command_writes_a_robot_and_tells_what_it_is(arm, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(importer, "import_robot", lambda *_, **__: arm)
+    assumed = arm._replace(report=arm.report | {"assumed_speed": list(arm.report["joints"])})
+    monkeypatch.setattr(importer, "import_robot", lambda *_, **__: assumed)
     out = tmp_path / "made"
     line = ["import", "robot", "--base", "base", "--flange", "flange", "--out"]
     assert main([*line, str(out), "--mjcf", "made.xml"]) == 0
