@@ -275,7 +275,7 @@ def parquet() -> dict[str, Damage]:
 ZIP: dict[str, Damage] = {
     "64 MiB of zeros, deflated": lambda p: member(p, "run/x", bytes(64 << 20), method=zipfile.ZIP_DEFLATED),
     "a name that leads out": lambda p: member(p, "run/../../x", b"x"),
-    "an absolute name": lambda p: member(p, "/tmp/x", b"x"),
+    "an absolute name": lambda p: member(p, "/x", b"x"),
     "a name with a backslash": lambda p: member(p, "run\\..\\x", b"x"),
     "a member twice": lambda p: member(p, first_member(p), b"{}"),
     "100,001 members": lambda p: many_members(p, 100_001),

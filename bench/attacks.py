@@ -452,7 +452,7 @@ def attacked(kind: Kind, damage: Damage | None) -> Found:
         ended = "traceback"
     elif ended == "refused" and sum(not PROGRESS.search(line) for line in words.strip().splitlines()) != 1:
         ended = "more than a line"
-    said_of = words.strip().replace(f"{place}/", "").replace(place, ".")
+    said_of = words.strip().replace(f"{ROOT}/", "").replace(f"{place}/", "").replace(place, ".")
     return Found(ended, round(seconds, 2), peak, said_of[:200] if ended in ("read", "refused") else said_of[-300:])
 
 

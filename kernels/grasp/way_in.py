@@ -11,7 +11,8 @@ from r2h_batch.kernels.robot.gripper import Gripper
 wp.set_module_options(OPTIONS)
 
 FIRST_LEVEL = wp.constant(4)
-"""The way is cut into eight parts at once: longer ones have their middle too far from their ends to tell of both."""
+"""The part before the grasp is a sixteenth of the way at first, the one behind it as long, and each further one twice as long as
+the one before it: the farther from the grasp, the larger the clearance mostly is."""
 LEVELS = wp.constant(16)
 """Halvings at most: parts of a way of 10 cm are below the tolerance after ten."""
 
@@ -51,19 +52,8 @@ def way_in_clearance(
     witness = int(-1)
     for end in range(2):
         found, i = least_clearance(
-            gripper,
-            surfaces,
-            s,
-            used,
-            1,
-            best,
-            UNASKED,
-            _before(T, float(end) * way),
-            opening,
-            trial,
-            R_scratch,
-            p_scratch,
-        )
+            gripper, surfaces, s, used, 1, best, UNASKED, _before(T, float(end) * way), opening, trial, R_scratch, p_scratch
+        )  # fmt: skip
         if found < best:
             best = found
             witness = i
