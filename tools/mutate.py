@@ -314,6 +314,13 @@ MUTATIONS = (
         (T_LEAVES,),
     ),
     Mutation(
+        "pick: the lift goes the way in",
+        PICK,
+        "self._lift(grasp, rows[row], ways.way_up[row, slot], depths=False)",
+        "self._lift(grasp, rows[row], ways.way_in[row, slot], depths=False)",
+        (f"{T_PICK}::test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free",),
+    ),
+    Mutation(
         "pick: the open gripper comes from within the object",
         "kernels/grasp/way_in.py",
         "T[k, 3] = T[k, 3] - back * T[k, 2]",

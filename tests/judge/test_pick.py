@@ -315,8 +315,10 @@ def test_a_person_above_makes_the_way_up_fail_where_the_way_in_is_free():
         rest = T_world_obj[i : i + 1]
         row = picked(s, T_obj_ee[i : i + 1], rest, replace(one, receiver=receiver))
         reasons.append(PickReason(int(row.reason)))
+        twin = PickTwin(s, replace(one, receiver=receiver), T_obj_ee[i], rest[0], row)
+        if row.picked:
+            assert twin.lift() > 0
         if reasons[-1] == PickReason.LIFT_COLLIDES:
-            twin = PickTwin(s, replace(one, receiver=receiver), T_obj_ee[i], rest[0], row)
             assert not row.picked and float(row.margin_m) <= 0
             assert twin.lift() < 0 < twin.approach()
     assert PickReason.LIFT_COLLIDES in reasons, reasons
