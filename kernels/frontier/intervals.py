@@ -2,8 +2,8 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.plan.codes import CERTIFY, CLEARANCE, HAND, SAMPLES, SELF, TABLE
 
 from ..plan.edge import MOVEIT_SEGMENT_RAD, SECTION_RAD

@@ -14,8 +14,8 @@ from r2h_batch.kernels.frontier.safe_queues import (
     Moments,
     Nearest,
 )
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, half_width, middle
 from r2h_batch.kernels.plan.codes import HAND
 
 from ..plan.edge import SECTION_RAD

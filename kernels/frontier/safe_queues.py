@@ -11,8 +11,8 @@ other trials.
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL
 
 wp.set_module_options(OPTIONS)
 

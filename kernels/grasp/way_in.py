@@ -2,10 +2,10 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.bisection import descend, half_width, middle, next_interval
 from r2h_batch.kernels.geometry.surface import Surfaces
 from r2h_batch.kernels.grasp.region import UNASKED, least_clearance
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import descend, half_width, middle, next_interval
 from r2h_batch.kernels.robot.gripper import Gripper
 
 wp.set_module_options(OPTIONS)

@@ -2,9 +2,9 @@
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 from r2h_batch.kernels.geometry.hand_mesh import HandMesh
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 
 from ..plan.edge import SECTION_RAD
 from ..robot.joints import FIELDS, FRAMES, JOINTS

@@ -20,8 +20,8 @@ following time, as Schwarzer, Saha and Latombe (2005) do for articulated robots.
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_OBSTACLES, OPEN, POSTURE, SAMPLES
 
 from ..robot.joints import FIELDS, FRAMES, JOINTS, vecq

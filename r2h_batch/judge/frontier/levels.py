@@ -32,7 +32,7 @@ from r2h_batch.kernels.frontier.bodies import (
 from r2h_batch.kernels.frontier.intervals import halve, interval_frames, queue_edges, queue_paths
 from r2h_batch.kernels.frontier.pairs import pair_distances
 from r2h_batch.kernels.frontier.settle import settle_pairs
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, PAIR_OF_OBJECT, POSTURE, SAMPLES
 from r2h_batch.kernels.plan.lines import CLEARANCE_CAP
 

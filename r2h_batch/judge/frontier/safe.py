@@ -25,7 +25,7 @@ from r2h_batch.kernels.frontier.safe_intervals import (
 )
 from r2h_batch.kernels.frontier.safe_pairs import face_distances, hull_distances
 from r2h_batch.kernels.frontier.safe_settle import safe_witness, settle_faces
-from r2h_batch.kernels.plan.bisection import MAX_LEVEL
+from r2h_batch.kernels.geometry.bisection import MAX_LEVEL
 from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.scene.scene import BodyPoses, Scene
 
