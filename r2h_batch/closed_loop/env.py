@@ -13,7 +13,7 @@ from typing import Any, ClassVar, Literal, TypeGuard, get_args
 import gymnasium
 import numpy as np
 import torch
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
@@ -448,7 +448,9 @@ class HandoverEnv(VectorEnv):
         Raises:
             TypeError, ValueError: the seed is no whole number from 0 and no list of B of them, or it comes with a
                 `reset_mask` that leaves rows out.
+            ClosedEnvironmentError: `close` was called.
         """
+        self.check_open("reset")
         if options is not None and not isinstance(options, Mapping):
             raise TypeError(
                 f"options are {describe_value(options)}; they must be a mapping or None"
@@ -611,6 +613,7 @@ class HandoverEnv(VectorEnv):
         Raises:
             TypeError, ValueError: they are something else; the message names it.
             ResetNeeded: `reset` was never called.
+            ClosedEnvironmentError: `close` was called.
         """
         before = self.ends.clone() if self._begun else None
         observation, *outcome = self.advance(actions)
@@ -618,12 +621,25 @@ class HandoverEnv(VectorEnv):
         reward, over, late = map(self._given, outcome)
         return self._given(observation), reward, over, late, self._info(before)
 
+    def check_open(self, call: str) -> None:
+        """Nothing happens, unless `close` was called.
+
+        Args:
+            call: what is about to be done, for the message.
+
+        Raises:
+            ClosedEnvironmentError: `close` was called.
+        """
+        if self.closed:
+            raise ClosedEnvironmentError(f"{call} was called after close; make a new environment")
+
     def advance(self, actions: Any) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         """As `step`, without `info` and with tensors, whatever `output` is.
 
         Args:
             actions: (B, ...) of `single_action_space`, finite float32 or float64 on the env's device.
         """
+        self.check_open("step")
         if not self._begun:
             raise ResetNeeded("HandoverEnv.step was called before reset; call reset first")
         shape = (self.num_envs, *(self.single_action_space.shape or ()))
@@ -1195,7 +1211,9 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
 
         Raises:
             ResetNeeded: `reset` was never called, or the episode has ended.
+            ClosedEnvironmentError: `close` was called.
         """
+        self.vector.check_open("step")
         if self._over:
             raise ResetNeeded("the episode has ended; call reset before the next step")
         observation, reward, ended, late, info = self.vector.step(np.asarray(action)[None])

@@ -70,6 +70,7 @@ class DrawnHandoverEnv(HandoverEnv):
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (height, width, 3) uint8 of each handover now; None without a render mode."""
+        self.check_open("render")
         if self.render_mode is None:
             return None
         return tuple(self._picture(row) for row in range(self.num_envs))

@@ -10,7 +10,7 @@ import numpy as np
 import oracle
 import pytest
 import torch
-from gymnasium.error import ResetNeeded
+from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from rounds import each
@@ -443,6 +443,31 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
     inputs = scores.inputs
     with pytest.raises(ValueError, match="no execution_error"):
         HandoverEnv(off.score(inputs.T_obj_ee[:1], inputs.T_world_ee[:1], inputs.trials[:1]))
+
+
+@pytest.mark.check
+def test_a_closed_environment_neither_steps_nor_begins(scores):
+    many, action = envs.HandoverEnv(scores[:1], config=LoopConfig(horizon_s=1)), np.zeros((1, 6), np.float32)
+    one = SingleHandoverEnv(many)
+    for closes in (many, one):
+        many.closed = False
+        one.reset(seed=0)
+        many.step(action)
+        closes.close()
+        closes.close()  # twice changes nothing
+        with pytest.raises(ClosedEnvironmentError, match="step was called after close; make a new environment"):
+            many.step(action)
+        with pytest.raises(ClosedEnvironmentError, match="step was called after close"):
+            many.advance(torch.zeros(1, 6))
+        with pytest.raises(ClosedEnvironmentError, match="step was called after close"):
+            one.step(action[0])
+        for env in (many, one):
+            with pytest.raises(ClosedEnvironmentError, match="reset was called after close"):
+                env.reset(seed=0)
+    many.closed, one._over = False, True
+    one.close()
+    with pytest.raises(ClosedEnvironmentError):  # not that the episode has ended: reset would not help
+        one.step(action[0])
 
 
 @pytest.mark.check
