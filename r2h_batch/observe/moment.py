@@ -12,6 +12,7 @@ from torch import Tensor
 from r2h_batch.base import rng, se3
 from r2h_batch.base.errors import UserError
 from r2h_batch.base.io.progress import busy
+from r2h_batch.config import Workplace
 from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.seen import LABELS
@@ -24,7 +25,7 @@ from r2h_batch.trials.noise import trial_ids
 from r2h_batch.types import Trials
 
 PLACE_X, PLACE_Y = (0.22, 0.40), (0.18, 0.42)
-"""Where the middle of the object's box may lie: x, and |y| on the side away from the hand, m [choice]."""
+"""Where the middle of the object's box may lie on the UR5e's table: x, and |y| on the side away from the hand, m [choice]."""
 TOUCH_M = 0.010
 """Nearer to robot or person counts as touching, m [choice]: points of an object lie 3 mm apart."""
 HIDDEN_PX = 150
@@ -43,9 +44,9 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
     """Where the objects of trials lie when they are seen.
 
     An object rests on its stable side (`resting_rotation`), turned about the vertical by a uniform angle, its box's middle
-    uniform in `PLACE_X` x `PLACE_Y`. Drawn by (seed, trial id), and again while it leaves the table, touches the robot or the
-    person, or is hidden from a post of cell-v1. The draw knows no other rig, so all rigs see the same moments. A trial that
-    was drawn again (`Benchmark.redraws`) has another one.
+    uniform in `PLACE_X` x `PLACE_Y`, times `region_scale`. Drawn by (seed, trial id), and again while it leaves the table,
+    touches the robot or the person, or is hidden from a post of cell-v1. The draw knows no other rig, so all rigs see the same
+    moments. A trial that was drawn again (`Benchmark.redraws`) has another one.
 
     Args:
         scene: robot at home, objects, hands, table.
@@ -89,6 +90,16 @@ def moments(scene: Scene, trials: Trials, *, seed: int = 0) -> Float32[Tensor, "
             "objects out, or use a larger table"
         ) from None
     return torch.from_numpy(found).float().to(trials.trial_id.device)
+
+
+def region_scale(place: Workplace) -> float:
+    """Factor of the region where objects are placed: 1 if its middle lies on the table, else how much smaller the table is than
+    the UR5e's. Small arms have small tables (`Benchmark.on`)."""
+    usual = Workplace()
+    front, wide = (w.table_center[0] + w.table_half[0] for w in (place, usual))
+    if front >= sum(PLACE_X) / 2:
+        return 1.0
+    return min(front / wide, place.table_half[1] / usual.table_half[1])
 
 
 @lru_cache(maxsize=1024)
@@ -148,8 +159,9 @@ def _placed(
     yaw = rotation_from_axis_angle(
         torch.from_numpy(np.stack([zero, zero, 2 * np.pi * u[0]], 1))
     ).numpy()
-    x = PLACE_X[0] + (PLACE_X[1] - PLACE_X[0]) * u[1]
-    y = (PLACE_Y[0] + (PLACE_Y[1] - PLACE_Y[0]) * u[2]) * np.where(hand_y > 0, -1.0, 1.0)
+    scale = region_scale(place)
+    x = scale * (PLACE_X[0] + (PLACE_X[1] - PLACE_X[0]) * u[1])
+    y = scale * (PLACE_Y[0] + (PLACE_Y[1] - PLACE_Y[0]) * u[2]) * np.where(hand_y > 0, -1.0, 1.0)
     T, fits = np.tile(np.eye(4), (len(rests), 1, 1)), np.zeros(len(rests), bool)
     for i, rest in enumerate(rests):
         hull, R = rest[:-3], rest[-3:]

@@ -9,13 +9,16 @@ from rays_twin import RIG, cell, depth_of_bodies, expected, robot_of_mujoco, tri
 from rounds import each
 from scipy.spatial import cKDTree
 
+from r2h_batch import load_benchmark
 from r2h_batch.base.errors import UserError
 from r2h_batch.base.launch.threads import on_threads
+from r2h_batch.config import Workplace
 from r2h_batch.observe import LABELS, load_rig, look, moments, observe, whole_images
 from r2h_batch.observe.moment import (
     PLACE_X,
     PLACE_Y,
     TOUCH_M,
+    region_scale,
     resting_rotation,
 )
 from r2h_batch.observe.rays import FAR_M, Bodies, bodies_of
@@ -23,6 +26,7 @@ from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.robot_mesh import robot_at_home
 from r2h_batch.observe.seen import packed
 from r2h_batch.observe.windows import middles, window_corners
+from r2h_batch.scene import load_robot
 from r2h_batch.types import Trials
 
 
@@ -239,6 +243,24 @@ def test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted():
                 assert torch.equal(getattr(one, name), getattr(all_of, name)[rows])
         for one, every in zip(part.cloud(300), whole.cloud(300), strict=True):
             assert torch.equal(one, every[rows])
+
+
+def test_objects_find_places_on_the_table_of_a_small_arm_and_those_of_larger_arms_stay():
+    usual = load_benchmark("r2h-v3-draft")
+    for name in ("ur5e_2f85", "panda_hand", "ur10e_2f85"):
+        assert region_scale(usual.on(load_robot(name)).workplace) == 1.0
+    small = usual.on(load_robot("ur3e_2f85"))
+    reach = load_robot("ur3e_2f85").reach_m / load_robot("ur5e_2f85").reach_m
+    assert region_scale(small.workplace) == pytest.approx(reach)
+    scene, trials = small.evaluator().scene, small.trials(12)
+    for i, T in each(enumerate(moments(scene, trials).double().numpy())):
+        v = scene.objects[int(trials.object_index[i])].vertices @ T[:3, :3].T + T[:3, 3]
+        middle = 0.5 * (v.min(0) + v.max(0)) / reach
+        assert PLACE_X[0] - 1e-6 <= middle[0] <= PLACE_X[1] + 1e-6
+        assert PLACE_Y[0] - 1e-6 <= abs(middle[1]) <= PLACE_Y[1] + 1e-6
+        assert v[:, 0].max() <= 0.45 * reach + 1e-6 and np.abs(v[:, 1]).max() <= 0.6 * reach + 1e-6
+    narrow = Workplace(table_center=(0.0, 0.0, -0.025), table_half=(0.3, 0.3, 0.025))
+    assert region_scale(narrow) == 0.5  # the smaller share: 0.3 of 0.6 m, not 0.3 of 0.45 m
 
 
 @pytest.mark.parametrize("benchmark", ["r2h-v2", "r2h-v1"])
