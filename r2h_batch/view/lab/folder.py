@@ -24,7 +24,7 @@ Before anything moves
 1. Do a risk assessment of your cell (ISO 10218-2, ISO/TS 15066). These files are no safety function.
 2. Somebody holds the emergency stop at every run and does nothing else.
 3. Run every path first without a person and without an object, at the pendant's slowest speed.
-4. Compare the first posture, the TCP and the frame with the pendant (trial.json, "pendant"). A pose of the other frame
+4. Compare the first posture, the TCP and the frame with the pendant (trial.json, under "lab"). A pose of the other frame
    (base, base_link) is on the other side of the robot.
 5. Only then a stand in place of the hand, then the object, and a person last: informed, with consent, and with your ethics
    board's approval.
