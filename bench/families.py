@@ -537,9 +537,9 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
         " *better* holds for new categories (t test over categories),"
         " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the"
         f" {COUNTS[methods]} methods (Holm).",
-        "`*`: learned from other instances of these sixteen categories, so its brackets and words hold for things of these"
+        "`*`: learned from other instances of these sixteen categories. Its brackets and words hold for things of these"
         " categories alone. *Category not seen* is Contact-Handover with trees that never saw the category"
-        " (`contact,contacts=other-categories`); its words are those of a table with it in Contact-Handover's place.",
+        " (`contact,contacts=other-categories`). Its words are those of a table with it in Contact-Handover's place.",
         markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
     ]
     return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)

@@ -29,9 +29,9 @@ LOOKED_AT, TAKEN = 128, 20
 HEAD = """# Lifting in a simulation
 
 [Pick](../pick.md) is geometric: it says that the object lies between the pads and that gripper and arm get there and up again.
-`python bench/lift.py` closes the fingers in MuJoCo C on the object where it rests on the table, takes it 10 cm up in half a
-second and waits as long (bench/results/lift.json, commit {commit}, load {load:g} at the start). Friction is 0.8, pads press
-with about 30 N. The pads touch the object alone. Held: the object slips by less than 2 cm in the gripper.
+`python bench/lift.py` closes the fingers in MuJoCo C on the object where it rests on the table. It takes the object 10 cm up
+in half a second and waits as long (bench/results/lift.json, commit {commit}, load {load:g} at the start). Friction is 0.8.
+The pads press with about 30 N and touch the object alone. Held: the object slips by less than 2 cm in the gripper.
 
 The first {taken} grasps of each method that Pick accepts, among its first {looked_at} trials. Brackets: 95 %, Wilson.
 
@@ -41,12 +41,12 @@ Together {held} of {n} are held. Not held: {lost}. Closing moves the object by {
 {moved_most:.1f} mm), and held objects slip by {slip_median:.1f} mm (median).
 
 Five of the bowls were looked at more closely, with the contacts at the end of closing. Two were simulated at half the time step
-too, and end within 1 mm of the same place, so the step is not why. bowl_02 (Handover-VA, trial 26) fills 81 of the 85 mm between
-the open pads. One pad alone touches it, in one point. Its normal there is 47 degrees off the closing axis, and friction of 0.8
-holds up to 39: pressing pushes the bowl out. bowl_01 (Contact-Handover, trial 14) weighs 1.27 kg. Each pad touches its 6 mm wall
-in one point near the tip, with normals 15 and 4 degrees off. It goes down with the table; why these two points do not carry it
-is not known. Pick asks how much lies between the pads. It does not ask for contacts within the friction cone, nor for more than
-one point of contact.
+too. They end within 1 mm of the same place, so the step is not why. bowl_02 (Handover-VA, trial 26) fills 81 of the 85 mm between
+the open pads. One pad alone touches it, in one point. Its normal there is 47 degrees off the closing axis. Friction of 0.8
+holds up to 39 degrees, so pressing pushes the bowl out. bowl_01 (Contact-Handover, trial 14) weighs 1.27 kg. Each pad touches
+its 6 mm wall in one point near the tip, with normals 15 and 4 degrees off. It goes down with the table; why these two points do
+not carry it is not known. Pick asks how much lies between the pads. It does not ask for contacts within the friction cone, nor
+for more than one point of contact.
 
 No verdict depends on this simulation. [`results held`](../transfer.md#physically-stable) asks what closing and weight do to a
 grasp without a table.

@@ -64,9 +64,9 @@ CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 
 HEAD = """# Methods that see
 
-`python bench/sees.py` swept the built-in methods and `examples/grasp_seen.py` on r2h-v2, motion as planned, {trials} trials a
-split, by what they were [shown](../observe.md#methods-that-see) (bench/results/sees.json; commit {commit}, load {load:g} at the
-start). {same}
+`python bench/sees.py` swept the built-in methods and `examples/grasp_seen.py` by what they were
+[shown](../observe.md#methods-that-see). The sweeps are of r2h-v2, motion as planned, {trials} trials a split
+(bench/results/sees.json; commit {commit}, load {load:g} at the start). {same}
 
 ## Success
 
@@ -74,15 +74,15 @@ SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at
 
 {table}
 {categories}
-`robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees, `plain search` for a pair that
-succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
+`robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees. `plain search` looks for a pair
+that succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
 
 Where it is not told, no method that sees knows the receiver's region (S1), the searches included: images show no parts. So in S1
 Affordance is what stops the searches ([causes](#causes)). FC and Contact keep the gripper off a hand that they expect on the
 object, and Contact off the places that people touch. Both stand in for the region: of {trials} trials of S1 with two posts
 Affordance stops {contact} of Contact and {fc} of FC. The robust search and Learned do not look for where people take an object,
 so it stops {robust} and {learned} of theirs. With a model known the region is not known either. Nor do the methods
-know the person's arm and torso: the world that they believe in has the hand alone, and planning and Safe judge all of the person.
+know the person's arm and torso. The world that they believe in has the hand alone. Planning and Safe judge all of the person.
 
 {told}## Causes
 

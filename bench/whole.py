@@ -77,8 +77,8 @@ FEW = """The seeing track has {seen_trials} trials a split, and the other track 
 MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
 alone.
 
-A row of these sweeps took at most {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing: the method, the
-judge and the start of the program. Time that threads of a network spend on waiting is counted.
+A row of these sweeps took at most {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing. The method, the
+judge and the start of the program are in it, and the time that threads of a network spend on waiting.
 """
 SHARD = 128
 """Trials that a process takes at a time, all methods of a track: those that see share what they look at."""

@@ -1,12 +1,15 @@
 """The documentation: links lead somewhere, and the site builds strictly without network."""
 
 import dataclasses
+import html
+import json
 import os
 import re
+import subprocess
 from pathlib import Path
 
 import pytest
-from needs import is_here, needs
+from needs import CHROMIUM, is_here, needs
 from no_network import without_network
 
 from r2h_batch import config
@@ -30,6 +33,37 @@ def test_the_reference_explains_every_field(kind):
     words = kind.__doc__.partition("Attributes:\n")[2]
     named = re.findall(r"^ {8}(\w+): ", words, re.MULTILINE)
     assert named == [f.name for f in dataclasses.fields(kind) if not f.name.startswith("_")]
+
+
+def test_pages_write_an_extra_in_one_form():
+    """That of a clone, in tested versions; the page of the installation says once what users of the wheel write."""
+    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
+    lines = [
+        f"{p.name}: {line}"
+        for p in pages
+        for line in re.findall(r"pip install[^`\n]*\[[a-z,]+\]'?", p.read_text("utf-8"))
+    ]
+    other = [line for line in lines if not re.search(r": pip install -c constraints\.txt -e '\.\[[a-z,]+\]'$", line)]
+    assert len(lines) > 10 and other == ["README.md: pip install 'r2h_batch[view]'"]
+
+
+@needs("chromium")
+def test_a_wide_table_of_the_site_scrolls_in_a_narrow_window_and_its_rows_stay_low(tmp_path):
+    """Material puts every table into such boxes."""
+    cells = "".join(f"<td>99.2-100.0 {k}</td>" for k in range(11))
+    boxes = "<div class=md-typeset__scrollwrap style='overflow-x:auto'><div class=md-typeset__table>"
+    table = f"{boxes}<table><tr>{cells.replace('td>', 'th>')}</tr><tr>{cells}</tr></table></div></div>"
+    told = "[w.scrollWidth > w.clientWidth, document.querySelector('td').clientHeight, getComputedStyle(w).backgroundImage]"
+    script = f"const w = document.querySelector('.md-typeset__scrollwrap'); document.title = JSON.stringify({told})"
+    style = ":root { --md-default-bg-color: #fff }" + (ROOT / "docs/stylesheets/tables.css").read_text("utf-8")
+    inside = f"<div class=md-typeset style='width:360px'>{table}</div><script>{script}</script>"
+    page = f"<title></title><style>{style}</style>{inside}"
+    (tmp_path / "page.html").write_text(page, "utf-8")
+    line = [CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--window-size=390,800", "--dump-dom"]
+    line += [f"--user-data-dir={tmp_path}/profile", f"file://{tmp_path}/page.html"]
+    shown = subprocess.run(line, capture_output=True, text=True, timeout=120, check=True).stdout
+    scrolls, high, shadows = json.loads(html.unescape(re.search(r"<title>(.*?)</title>", shown)[1]))
+    assert scrolls and high < 30 and shadows.count("gradient") == 4
 
 
 def build_site(folder: Path) -> None:
