@@ -133,7 +133,14 @@ def _records(path: Path) -> list[tuple[int, list[str]]]:
         # comments become empty lines, so that the reader counts the lines of the file
         lines = ["" if line.startswith("#") else line for line in text.splitlines()]
         reader = csv.reader(lines, strict=True)
-        return [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
+        records = [(reader.line_num, cells) for cells in reader if any(map(str.strip, cells))]
     except (UnicodeDecodeError, csv.Error) as error:
         why = printable(error)[:200]
         raise FileError(f"{path}: no readable CSV ({why}); save it as 'CSV UTF-8'") from None
+    head = records[0][1] if records else []
+    for sign, name in ((";", "semicolons"), ("\t", "tabs")):
+        if len(head) == 1 and sign in head[0]:
+            raise FileError(
+                f"{path}: has {name} between the cells; save it with commas between them, and with points in numbers"
+            )
+    return records

@@ -26,6 +26,8 @@ BAD = {
     "line 3, column 4: rating 0; allowed are whole numbers from 1 to 5": with_row("p9,a,comfort,0"),
     "line 3: 5 cells under 4 columns": with_row("p9,a,comfort,3,4"),
     "line 4: participant p0 rates b twice": with_row("p0,b,comfort,3"),
+    "has semicolons between the cells; save it with commas": (HEAD + table()).replace(",", ";").encode(),
+    "has tabs between the cells; save it with commas": (HEAD + table()).replace(",", "\t").encode(),
     "save it as 'CSV UTF-8'": (HEAD + table()).encode("utf-16"),
     "no rows under the column names": HEAD.encode(),
 }
