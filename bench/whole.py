@@ -545,7 +545,8 @@ def _order(methods: Mapping[str, Any], short: Mapping[str, str], splits: np.ndar
     names = sorted(methods, key=lambda k: -methods[k]["won"].count("1"))
     n = len(methods[names[0]]["won"])
     won = np.array([[c == "1" for c in methods[k]["won"]] for k in names], float)
-    random, hits, of = np.random.default_rng(0), 0.0, 0.0
+    random = np.random.default_rng(0)
+    hits, of = np.zeros((DRAWS, len(names))), np.zeros((DRAWS, 1))
     for split in ("S0", "S1"):
         own = splits[:n] == split
         _, place = np.unique(kinds[:n][own], return_inverse=True)
