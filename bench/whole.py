@@ -74,7 +74,7 @@ The three differ by {apart} trials at most, which {n} trials do not decide.
 """
 FEW = """The seeing track has {seen_trials} trials a split, and the other track {trials}.
 - """
-MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (asked: at most 1.5). It judges Pick at the grasp
+MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (aim: at most 1.5). It judges Pick at the grasp
 alone.
 
 A row of these sweeps took at most {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing. The method, the
@@ -139,7 +139,7 @@ Process milliseconds of one core a row, {timed} rows in one call, moments known 
 
 {cost}
 
-Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (asked: at most 2).
+Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (aim: at most 2).
 {more_cost}
 ## Checked by other code
 

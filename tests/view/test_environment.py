@@ -6,6 +6,7 @@ import sys
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.error import ClosedEnvironmentError
 from gymnasium.utils.env_checker import check_env
 from needs import needs
 
@@ -79,6 +80,9 @@ def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
     later = env.render()
     assert first.shape == (480, 640, 3) and first.dtype == np.uint8 and first.std() > 10
     assert 0.002 < (first != later).any(2).mean() < 0.9
+    env.close()
+    with pytest.raises(ClosedEnvironmentError, match="render was called after close"):
+        env.render()
     with pytest.raises(ValueError, match="render_mode is 'human'"):
         gymnasium.make_vec(ID, num_envs=1, vectorization_mode="vector_entry_point", render_mode="human", **SMALL)
 
