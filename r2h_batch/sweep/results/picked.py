@@ -65,7 +65,8 @@ GOING_IN = (PickReason.GRASP_COLLIDES, PickReason.APPROACH_COLLIDES)
 NOTES = (
     "Percent of the rows. picked: the arm goes from home to 10 cm before the grasp, straight in with the open gripper,"
     " closes, and goes 10 cm straight up. The object rests on the table, the person waits (docs/pick.md). Brackets: 95 %,"
-    " Wilson. No part of SR.",
+    " Wilson. No part of SR, but where the benchmark asks for Pick. Here the arm is planned in the true world, also where methods"
+    " see.",
     "Then the share that fails in each stage, the first one counts: reach, the open gripper at the grasp, straight"
     " ways, the way in, what lies between the pads, the closing fingers, the lift, the path from home. Of the grasp and the way"
     " in: what the robot meets.",

@@ -45,7 +45,8 @@ received."""
 
 NOTES = (
     "Percent of the rows with a held object and a goal posture; `n` counts them. A column of a step: rows with a grasp left that"
-    " passes it and all before. received: the whole way to the easiest of these is free too. No part of SR.",
+    " passes it and all before. received: the whole way to the easiest of these is free too. No part of SR, but where the"
+    " benchmark asks for Received.",
     "K: how many of the received would be if only K grasps a side were known (drawn at random): at least one of them passes"
     " every step. Turn: received with the hand turned by at most so much in the easiest grasp.",
     "Hands have the shape of the held-out grasps, not of the trial's person (docs/receivers.md).",
