@@ -37,19 +37,22 @@ def export(
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
     from r2h_batch.runs.files import RunError
+    from r2h_batch.runs.store import UNJUDGED, load_run
     from r2h_batch.scene.robot import DEFAULT_ROBOT
+
+    stored = load_run(run)
+    if stored.robot != DEFAULT_ROBOT:
+        words = f"holds motions of {stored.robot}; {to} has the {DEFAULT_ROBOT} alone"
+        raise RunError(f"{printable(run)}: {words}")
+    name = stored.complete(method or None)  # before torch is imported
     from r2h_batch.view.export.release import (
         release_names,
         write_release_results,
         write_release_trial,
     )
-    from r2h_batch.view.stored import UNJUDGED, Reader
+    from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, benchmark)
-    if reader.run.robot != DEFAULT_ROBOT:
-        words = f"holds motions of {reader.run.robot}; {to} has the {DEFAULT_ROBOT} alone"
-        raise RunError(f"{printable(run)}: {words}")
-    name = reader.method(method or None)
+    reader = Reader(stored, benchmark)
     rows = reader.rows(name).to_pylist()
     judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
     names = release_names([r["trial_id"] for r in judged], name, reader.run.labels)

@@ -32,21 +32,26 @@ def figures(
         overwrite: replace figures that are there.
         benchmark: where its files are now, if they are not where the sweep found them.
     """
-    from r2h_batch.report.figures import needs_matplotlib
+    from r2h_batch.runs.store import load_run
     from r2h_batch.scene.offscreen import ready
-    from r2h_batch.view.stored import Reader
 
     for name in FIGURES:
         for ending in ENDINGS:
             check_output_file(out / f"{name}.{ending}", overwrite=overwrite)
-    needs_matplotlib()
-    reader = Reader(run, benchmark)
-    stored = reader.run.only(method)
+    whole = load_run(run)
+    stored = whole.only(method)
     if not stored.methods:
         raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+    if trial is not None:
+        stored.holding(trial, stored.methods)  # before torch is imported
+    from r2h_batch.report.figures import needs_matplotlib
+
+    needs_matplotlib()
     ready()
     from r2h_batch.view.gallery import pictures
+    from r2h_batch.view.stored import Reader
 
+    reader = Reader(whole, benchmark)
     shown = stored.named(method[0]) if method else stored.methods[0]
     drawn = (
         pictures.protocol(stored, reader, shown, trial),

@@ -23,6 +23,8 @@ GRAVITY_M_S2, HELD_KG, LEAST_NM = 9.81, 2.0, 10.0
 at least the last of these [choice]."""
 SPEED_RAD_S = 2.0
 """Speed limit of a joint whose file says none, as no MJCF does [choice]."""
+MOST_RAD_S, MOST_NM = 100.0, 1e5
+"""Files write 1e9 where a joint has no limit. More than this limits no arm, so the file says no limit [choice]."""
 MOST_TURNS = 60
 CLOSED_M = 1e-4
 """By how much a loop of a gripper may stay open."""
@@ -176,9 +178,10 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
     parts = [_rigid(model, name, T, ends) for name, T in zip(carried, back, strict=True)]
     T_joints, T_flange = _exact(np.array(frames).reshape(-1, 4, 4)), _exact(T_before)
     low, high = np.array([_range(joint, shown) for joint in moving]).reshape(-1, 2).T
-    speed = np.array([_speed(joint, shown) or SPEED_RAD_S for joint in moving])
+    said = [_speed(joint, shown) for joint in moving]
+    speed = np.array([given or SPEED_RAD_S for given in said])
     effort = np.array([joint.effort for joint in moving])
-    missing = effort <= 0
+    missing = (effort <= 0) | (effort > MOST_NM)
     effort = np.where(missing, holding_torque(T_joints, T_flange, parts), effort)
     beyond, todo = {flange}, [flange]
     while todo:
@@ -188,7 +191,7 @@ def read_chain(model: Model, base: str, flange: str, *, bare: bool = False) -> C
     return Chain(
         tuple(joint.name for joint in moving), T_joints, T_flange, low, high, speed, effort,
         tuple(parts), frozenset(beyond), tuple(j.name for j, no in zip(moving, missing, strict=True) if no),
-        tuple(joint.name for joint in moving if not joint.speed), tuple(replaced),
+        tuple(joint.name for joint, given in zip(moving, said, strict=True) if not given), tuple(replaced),
     )  # fmt: skip
 
 
@@ -420,11 +423,11 @@ def _range(joint: Joint, shown: str) -> tuple[float, float]:
 
 
 def _speed(joint: Joint, shown: str) -> float:
-    """rad/s; 0: the file does not say."""
+    """rad/s; 0: the file does not say, or says a number that limits nothing."""
     if not joint.speed >= 0:
         where = f"{shown}: joint {printable(joint.name)}: velocity {joint.speed:g}"
         raise FileError(f"{where}; it must be above 0, or left out for {SPEED_RAD_S:g} rad/s")
-    return joint.speed
+    return joint.speed if joint.speed <= MOST_RAD_S else 0.0
 
 
 def holding_torque(T_joints: Array, T_flange: Array, parts: Sequence[Rigid]) -> Array:

@@ -44,6 +44,8 @@ URDF: dict[str, set[str]] = {
     "inertial": {"origin", "mass", "inertia"}, "visual": {"origin", "geometry"}, "collision": {"origin", "geometry"},
     "geometry": {"mesh", "box", "cylinder", "sphere", "capsule"},
 }  # fmt: skip
+MOST_NUMBER = 1e6
+"""A number of a robot's file is at most this."""
 NUMBERS = {
     "xyz": 3, "rpy": 3, "scale": 3, "size": 3, "radius": 1, "length": 1, "value": 1, "multiplier": 1, "offset": 1,
     "lower": 1, "upper": 1, "velocity": 1, "effort": 1, "ixx": 1, "ixy": 1, "ixz": 1, "iyy": 1, "iyz": 1, "izz": 1,
@@ -324,9 +326,23 @@ def _check_numbers(element: Element, shown: str) -> None:
         except ValueError:
             found = np.zeros(0)
         count = NUMBERS[name]
-        if len(found) != count or not (np.abs(found) <= 1e6).all():
+        if len(found) == 1 and _says_no_limit(name, float(found[0])):
+            if name in ("lower", "upper"):
+                element.set(name, f"{np.sign(found[0]) * MOST_NUMBER:g}")
+            else:
+                del element.attrib[name]
+            continue
+        if len(found) != count or not (np.abs(found) <= MOST_NUMBER).all():
             where = f"{shown}: {name} of <{printable(element.tag)[:40]}>"
-            raise FileError(f"{where} is {printable(text)[:60]!r}; it must be {count} numbers")
+            what = "a number" if count == 1 else f"{count} numbers, each"
+            words = f"it must be {what} from -{MOST_NUMBER:g} to {MOST_NUMBER:g}"
+            raise FileError(f"{where} is {printable(text)[:60]!r}; {words}")
+
+
+def _says_no_limit(name: str, number: float) -> bool:
+    """Files write 1e9 or inf where a joint has no limit."""
+    ends = {"lower": -1, "upper": 1, "velocity": 1, "effort": 1}
+    return name in ends and number * ends[name] > MOST_NUMBER
 
 
 def _given_mass(body: mujoco.MjsBody) -> tuple[float, Array]:

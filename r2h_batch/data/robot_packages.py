@@ -60,10 +60,7 @@ def file_from(source: str) -> Packaged:
     wanted = PurePosixPath(name).parts
     found = [f for f in robots if _ends(f, wanted)]
     if len(found) == 1:
-        file = Path(str(found[0].locate()))
-        return Packaged(
-            file, file.parents[len(found[0].parts) - 2] if found[0].parts[1:] else file.parent
-        )
+        return _packaged(found[0])
     if found:
         words = ", ".join(str(f) for f in found[:SHOWN])
         raise FileError(
@@ -74,6 +71,17 @@ def file_from(source: str) -> Packaged:
     raise FileError(
         f"--from {printable(source)[:80]}: the package has no file that ends so; of its {len(robots)} .urdf and .xml: {words}"
     )
+
+
+def _packaged(file: metadata.PackagePath) -> Packaged:
+    """Where a distribution's file is. A wheel's data lie beside its packages, as ../../../share/NAME/...; `pip install
+    --target` puts them into the folder of the packages, and lists them as if it had not."""
+    inside = tuple(part for part in file.parts if part != "..")
+    place, beside = Path(str(file.locate())), len(inside) < len(file.parts)
+    if beside and not place.is_file():
+        place = Path(str(file.locate()).split("..", 1)[0], *inside)
+    up = len(inside) - (3 if beside else 2)
+    return Packaged(place, place.parents[max(up, 0)])
 
 
 def _ends(file: PurePosixPath, wanted: tuple[str, ...]) -> bool:

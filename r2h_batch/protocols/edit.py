@@ -247,7 +247,7 @@ def frame_of(turn: str) -> NDArray[np.float64]:
         turn: a word of `registry.TURNS`, or angles about the fixed axes x, y and z, in this order, degrees: `20,40,60`.
 
     Raises:
-        FileError: neither.
+        FileError: neither, or the angles turn nothing.
     """
     if turn in FRAMES:
         return FRAMES[turn]
@@ -262,7 +262,10 @@ def frame_of(turn: str) -> NDArray[np.float64]:
         )
     from scipy.spatial.transform import Rotation  # 0.4 s: only angles need it
 
-    return np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
+    R = np.asarray(Rotation.from_euler("xyz", angles, degrees=True).as_matrix())
+    if np.allclose(R, np.eye(3), atol=1e-6):
+        raise FileError(f"{turn!r} turns nothing; give other degrees")
+    return R
 
 
 def in_frame(benchmark: Benchmark, turn: str) -> Benchmark:

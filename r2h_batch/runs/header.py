@@ -9,6 +9,7 @@ import hashlib
 import itertools
 import json
 import os
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
@@ -246,6 +247,12 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 def check_header(data: Mapping[str, Any], path: Path) -> dict[str, Any]:
     header = checked(Header, dict(data), path)
+    names = Counter(o["name"] for o in header.get("objects", ()))
+    if several := [name for name, n in names.items() if n > 1]:
+        raise RunError(
+            f"{printable(path)}: objects names {printable(repr(several[0]))[:80]} {names[several[0]]} times;"
+            " each is there once"
+        )
     planned, size = sum(header["trials"].values()), header["shard_trials"]
     if planned > MAX_SHARDS * size:
         raise RunError(

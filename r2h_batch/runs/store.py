@@ -45,6 +45,10 @@ if TYPE_CHECKING:
 
 MAX_LABELS_BYTES = 256 << 20
 LABELS = "ids.csv"
+UNJUDGED = ("invalid_input", "missing")
+"""Outcomes of rows without a motion to show."""
+LISTED = 10
+"""Trials that a message names."""
 IMPORTED = "imported-"
 """Begins the name of a folder that holds the trials of a sweep in our form."""
 
@@ -200,6 +204,50 @@ class Run:
         limits = run.header.get("configuration", {}).get("thresholds", {})
         return explained(row, name, limits, picture_command(self, name, row["trial_id"]))
 
+    def complete(self, word: str | None = None) -> str:
+        """The full name of a method whose rows are all there.
+
+        Args:
+            word: the full name, or the sweep's word (fc); None or empty: the only complete method.
+
+        Raises:
+            RunError: there is no such method, several, or not all its rows are there.
+        """
+        names = self.methods
+        if not word and len(names) == 1:
+            return names[0]
+        if not word and names:
+            listed = ", ".join(names)
+            raise RunError(
+                f"{self.folder}: has several methods; choose one with --method: {listed}"
+            )
+        if not word:
+            raise RunError(f"{self.folder}: no method is complete; run its sweep again to go on")
+        name = self.named(word)
+        if name not in names:
+            raise RunError(f"{self.folder}: {name!r} is not complete; run its sweep again to go on")
+        return name
+
+    def holding(self, trial: int, words: Sequence[str] = (), *, judged: bool = True) -> list[str]:
+        """The full names of complete methods that hold a trial. Commands ask before they import what draws or judges, so
+        that a typing error is told at once.
+
+        Args:
+            trial: its id.
+            words: full names or words of the sweep; empty: the only method.
+            judged: refuse a row that was not judged, too: there is nothing to show.
+
+        Raises:
+            RunError: there is no such method or trial, or the row was not judged.
+        """
+        names = [self.complete(word) for word in words] or [self.complete()]
+        for name in names:
+            outcome = self.row(trial, name)["outcome"]
+            if judged and outcome in UNJUDGED:
+                words_of = f"was not judged ({outcome}): there is nothing to show"
+                raise RunError(f"{self.folder}: trial {trial} of {name!r} {words_of}")
+        return names
+
     def row(self, trial: int, method: str) -> dict[str, Any]:
         """One row of `trials` with its details, where they are stored.
 
@@ -220,7 +268,11 @@ class Run:
                 if own:
                     break
         if "outcome" not in found:
-            raise RunError(f"{self.folder}: {method!r} has no trial {str(trial)[:40]}")
+            ids = self.trials(method, ["trial_id"])["trial_id"].to_pylist()
+            shown = ", ".join(map(str, ids[:LISTED])) or "none"
+            more = f", ... up to {max(ids)}" if len(ids) > LISTED else ""
+            what = f"has no trial {str(trial)[:40]}; it has {len(ids)}: {shown}{more}"
+            raise RunError(f"{self.folder}: {method!r} {what}")
         return found
 
     def to_pandas(self) -> "pandas.DataFrame":

@@ -45,21 +45,24 @@ def turn(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.protocols.edit import frame_of
-    from r2h_batch.report.turn import folder_of, render, turned
     from r2h_batch.runs.store import load_run
-    from r2h_batch.runs.writing import open_run
-    from r2h_batch.sweep.command import stop_signals
-    from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, score_local, shard_size
+    from r2h_batch.sweep.options import base_of
 
     if trials < 0:
         raise UsageError(f"--trials is {trials}; it must be 0 (all) or more")
     if benchmark.turn:
         raise UsageError("--turn is the command's own; leave it out, or give --by")
+    run = load_run(folder)
+    run.only([word for word in method if ":" not in base_of(word)])  # before torch is imported
+    from r2h_batch.protocols.edit import frame_of
+    from r2h_batch.report.turn import folder_of, render, turned
+    from r2h_batch.runs.writing import open_run
+    from r2h_batch.sweep.command import stop_signals
+    from r2h_batch.sweep.scoring import ProgressFile, Scoring, Stopped, score_local, shard_size
+
     words = tuple(dict.fromkeys((*TURNS, *(word.replace(" ", "") for word in by))))
     for word in words:
         frame_of(word)
-    run = load_run(folder)
     refused: list[str] = []
     with stop_signals() as stopping:
         for word in words:

@@ -105,24 +105,33 @@ def view(
         raise UsageError("--receiver-motion is played in --video and --strips; give one of them")
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
+    if transfer and (
+        video is None or trial is None or html or strips or receiver_motion or len(method) > 1
+    ):
+        raise UsageError("--transfer needs --video, --trial and one --method, and no other output")
+    for file, flag, endings in outputs:
+        if file is not None and not one_of_each:
+            check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
+    from r2h_batch.runs.store import load_run
+
+    stored = load_run(run)  # what is not there is told before torch is imported
+    browser = not (html or pictures)
+    words = method or (stored.methods[:1] if browser else ())
+    if trial is not None:
+        stored.holding(trial, words, judged=not browser)
+    for word in words:
+        stored.complete(word)
     if transfer:
         from r2h_batch.sweep.results.command import check_cases
 
         check_cases([release], [transfer], flag="--transfer")
-        if video is None or trial is None or html or strips or receiver_motion or len(method) > 1:
-            raise UsageError(
-                "--transfer needs --video, --trial and one --method, and no other output"
-            )
-    for file, flag, endings in outputs:
-        if file is not None and not one_of_each:
-            check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
     if pictures:
         from r2h_batch.scene.offscreen import ready
 
         ready()
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, benchmark)
+    reader = Reader(stored, benchmark)
     if transfer and trial is not None and video is not None:
         from r2h_batch.closed_loop.transfer.cases import Case
         from r2h_batch.view.transfer import write_transfer_film
@@ -212,17 +221,20 @@ def _sees(
 ) -> int:
     """`view --sees`; `how`: errors, as `write_sees` takes them."""
     check_output_file(out, overwrite=overwrite, flag="--sees", endings=STRIPS)
+    from r2h_batch.runs.store import load_run
+
+    stored = load_run(run)
+    planned = stored.header["trials"].get(SPLITS[trial % 2], 0)
+    if not 0 <= trial // 2 < planned:
+        counts = ", ".join(f"{n} of {s}" for s, n in stored.header["trials"].items())
+        raise UsageError(f"--trial is {trial}; {run} has {counts} (ids of S0 are even, of S1 odd)")
     from r2h_batch.observe.rig import load_rig
 
     cameras = load_rig(rig)
     from r2h_batch.view.sees import write_sees
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, benchmark)
-    planned = reader.run.header["trials"].get(SPLITS[trial % 2], 0)
-    if not 0 <= trial // 2 < planned:
-        counts = ", ".join(f"{n} of {s}" for s, n in reader.run.header["trials"].items())
-        raise UsageError(f"--trial is {trial}; {run} has {counts} (ids of S0 are even, of S1 odd)")
+    reader = Reader(stored, benchmark)
     write_sees(reader, trial, cameras, out, **how)
     print(out)
     return 0

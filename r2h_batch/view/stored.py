@@ -29,7 +29,7 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
-from r2h_batch.runs.store import Run, load_run
+from r2h_batch.runs.store import UNJUDGED, Run, load_run
 from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
@@ -46,7 +46,6 @@ CHECKED_TRIALS = 20_000
 """Runs of at most this many trials have their whole trial list compared with its digest."""
 SAME_M = 1e-6
 """Margins that differ by no more than this are the same: float32 of numbers below 10 m."""
-UNJUDGED = ("invalid_input", "missing")
 POSES = ("T_obj_ee", "T_world_ee")
 
 
@@ -54,32 +53,17 @@ Section = TypeVar("Section")
 
 
 class Reader:
-    """Trials of one run folder, one after the other."""
+    """Trials of one run folder, one after the other; `run` is the folder, or what `load_run` gave."""
 
-    def __init__(self, run: str | Path, given: BenchmarkChoice | None = None) -> None:
-        self.where = str(run)
-        self.run: Run = load_run(run)
+    def __init__(self, run: str | Path | Run, given: BenchmarkChoice | None = None) -> None:
+        self.run: Run = run if isinstance(run, Run) else load_run(run)
+        self.where = str(self.run.folder)
         self.given = given or BenchmarkChoice()
         self._rows: dict[str, Any] = {}
 
     def method(self, word: str | None = None) -> str:
-        """The full name of a method; the only one where none is named.
-
-        Raises:
-            RunError: no such method, several, or not all its rows are there.
-        """
-        names, folder = self.run.methods, self.run.folder
-        if word is None and len(names) == 1:
-            return str(names[0])
-        if word is None:
-            if not names:
-                raise RunError(f"{folder}: no method is complete; run its sweep again to go on")
-            listed = ", ".join(names)
-            raise RunError(f"{folder}: has several methods; choose one with --method: {listed}")
-        name = self.run.named(word)
-        if name not in names:
-            raise RunError(f"{folder}: {name!r} is not complete; run its sweep again to go on")
-        return name
+        """The full name of a method; the only one where none is named (`Run.complete`)."""
+        return self.run.complete(word)
 
     def rows(self, method: str) -> Any:
         """All rows of a method, a pyarrow table."""
@@ -96,15 +80,9 @@ class Reader:
         """
         name, stored = self.method(method), self.run.header["stored"]
         found = _rows(self.rows(name), trial_id)
-        if not found:
-            ids = self.rows(name)["trial_id"].to_pylist()
-            more = f", ... up to {max(ids)}" if len(ids) > 10 else ""
-            some = f"{len(ids)}: {', '.join(map(str, ids[:10])) or 'none'}{more}"
-            raise RunError(f"{self.where}: method {name!r} has no trial {trial_id}; it has {some}")
+        if not found or found[0]["outcome"] in UNJUDGED:
+            self.run.holding(trial_id, [name])  # it raises
         row = found[0]
-        if row["outcome"] in UNJUDGED:
-            words = f"was not judged ({row['outcome']}): there is nothing to show"
-            raise RunError(f"trial {trial_id} of {name!r} {words}")
         for details in _rows(self.run.details(name), trial_id) if "details" in stored else ():
             row |= details
         trial = self.trial_of(row)

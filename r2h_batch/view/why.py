@@ -3,7 +3,6 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
@@ -24,17 +23,13 @@ def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoic
     from r2h_batch.runs.store import load_run
 
     stored = load_run(run)
-    words = [method] if method else list(stored.methods)
-    if not words:
-        raise UsageError(f"{run}: no method is complete; run its sweep again to go on")
     number = stored.trial_id(trial)
-    for word in words:
-        stored.row(number, stored.named(word))  # what is not there is told before torch is imported
+    words = [method] if method else stored.methods
+    names = stored.holding(number, words, judged=False)  # before torch is imported
 
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(run, benchmark)
-    names = [reader.method(word) for word in words]
+    reader = Reader(stored, benchmark)
     for k, name in enumerate(names):
         print(("\n" if k else "") + str(explanation(reader, number, name)))
     return 0

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from refusals import one_line
 from robot_files import SHAPES, read_arm, write_mjcf, write_urdf
+from rounds import each
 
 from r2h_batch.data import robot as robot_import
 from r2h_batch.data.robot_masses import check_masses, weighed
@@ -101,6 +102,31 @@ def test_a_joint_without_a_speed_gets_2_rad_s(given, tmp_path):
     assert chain.assumed_speed == ("j1", "j2", "j3", "j4")
     assert chain.velocity.tolist() == [2, 2, 2, 2, 3, 3, 3]
     assert read_arm(write_mjcf(tmp_path))[0].assumed_speed == tuple(f"j{k}" for k in range(1, 8))
+
+
+@pytest.mark.parametrize("none", ["1e9", "inf", "1.79769e+308", "250"])
+def test_a_speed_that_limits_nothing_is_no_limit(none, tmp_path):
+    """Files write it where they know none; 100 rad/s are 16 turns a second."""
+    chain, _ = read_arm(write_urdf(tmp_path, **{'effort="80" velocity="2"': f'effort="80" velocity="{none}"'}))
+    assert chain.assumed_speed == ("j1", "j2", "j3", "j4") and set(chain.velocity.tolist()) == {2.0}
+    fast, _ = read_arm(write_urdf(tmp_path, **{'velocity="2"': 'velocity="100"'}))
+    assert fast.assumed_speed == () and set(fast.velocity.tolist()) == {100.0}
+
+
+def test_a_torque_or_an_angle_that_limits_nothing_is_no_limit(tmp_path):
+    plain, _ = read_arm(write_urdf(tmp_path))
+    weak, _ = read_arm(write_urdf(tmp_path, **{' effort="80"': ""}))
+    for none in each(("1e9", "inf", "2e5")):
+        chain, _ = read_arm(write_urdf(tmp_path, **{'effort="80"': f'effort="{none}"'}))
+        assert plain.assumed == () and chain.assumed == weak.assumed == ("j1", "j2", "j3", "j4")
+        assert np.array_equal(chain.effort, weak.effort)
+    whole, _ = read_arm(write_urdf(tmp_path, **{'lower="-2.9" upper="2.9"': 'lower="-1e9" upper="inf"'}))
+    assert np.allclose([whole.lower[0], whole.upper[0]], [-2 * np.pi, 2 * np.pi])
+    for wrong, words in each(
+        (("-1e9", "a number from"), ("nan", "a number from"), ("2 3", "a number from"), ("fast", "is 'fast'"))
+    ):
+        with one_line(words):
+            read_arm(write_urdf(tmp_path, **{'velocity="2"': f'velocity="{wrong}"'}))
 
 
 def test_a_speed_below_0_is_refused(tmp_path):

@@ -5,6 +5,7 @@ import sys
 import pytest
 from refusals import one_line
 from robot_files import write_urdf
+from rounds import each
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.data.robot_chain import read_chain
@@ -39,6 +40,26 @@ def test_a_file_is_found_by_how_its_path_ends_and_its_package_is_the_folder_of_w
     hand, arm = installed / "arms/b/hand.xml", installed / "arms/b/arm.urdf"
     assert file_from("some-arms:hand.xml") == (hand, installed / "arms") == file_from("some_arms:hand")
     assert file_from("some-arms:b/arm.urdf") == file_from("some-arms:b/arm") == (arm, installed / "arms")
+
+
+def test_data_of_a_wheel_lie_beside_its_packages_or_where_target_puts_them(tmp_path, monkeypatch):
+    """`pip install --target` lists ../../share/... and writes share/... into the folder."""
+    for place, up, share in each(
+        [
+            (tmp_path / "env/lib/site-packages", "../../", tmp_path / "env/share"),
+            (tmp_path / "flat", "../../", tmp_path / "flat/share"),
+        ]
+    ):
+        info, file = place / "open_arms-1.0.dist-info", share / "open_arms/v2/arm.xml"
+        info.mkdir(parents=True)
+        file.parent.mkdir(parents=True)
+        file.write_text("<mujoco/>")
+        (info / "METADATA").write_text("Metadata-Version: 2.1\nName: open-arms\nVersion: 1.0\n")
+        (info / "RECORD").write_text(f"{up}share/open_arms/v2/arm.xml,,\n")
+        with monkeypatch.context() as only:
+            only.syspath_prepend(str(place))
+            found = file_from("open-arms:arm.xml")
+            assert (found.file.resolve(), found.folder.resolve()) == (file, share / "open_arms")
 
 
 def test_a_module_tells_its_file_and_folder_in_a_process_of_its_own(installed):

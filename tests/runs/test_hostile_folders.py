@@ -87,6 +87,7 @@ HEADER = [
     ("motion", {"engine": 7}),
     ("predictors", {"noise_factor": "loud"}),
     ("objects", [{"name": ESC, "split": "S0", "built_in": True}]),
+    ("objects", [{"name": "cup", "split": "S0", "built_in": True}] * 2),
     ("stored", ["../../etc"]),
     ("protocol", "x" * 100_000),
 ]

@@ -9,6 +9,7 @@ import pytest
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
+from r2h_batch.base.errors import FileError
 from r2h_batch.protocols.edit import FRAMES, frame_of, in_frame
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import object_digest
@@ -150,6 +151,13 @@ def test_an_invalid_turn_is_refused_before_anything_is_scored(run, capsys, word)
     assert command("turn", run / "run", "--by", word) == 2
     assert "give half, cycled, or degrees about x, y and z" in capsys.readouterr().err
     assert not (run / "run-turned" / word).exists()
+
+
+@pytest.mark.parametrize("word", ["0,0,0", "360,0,-360", "180,180,180"])
+def test_angles_that_turn_nothing_are_refused(word):
+    """The turn test counts them as a turn that no method depends on."""
+    with pytest.raises(FileError, match=f"'{word}' turns nothing; give other degrees"):
+        frame_of(word)
 
 
 def test_angles_turn_about_fixed_axes_in_their_order():

@@ -1,13 +1,10 @@
 """`why` of a failed plan names the pair that its margin is about, as page and picture do."""
 
 import dataclasses
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from made_runs import write_run
-from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs.files import RunError
@@ -25,20 +22,6 @@ def test_why_of_a_failed_plan_says_what_its_picture_shows(run, capsys):
         said = capsys.readouterr().out
         assert Drawing(reader.trial(trial, "random")).witness.caption in said
         assert "criterion:  plan" in said and f"{1e3 * row['margin_plan_m']:+.1f} mm" in said
-
-
-def test_a_trial_or_method_that_is_not_there_is_told_before_torch_is_imported(run):
-    """That takes four seconds, and `Run.named` knows the sweep's word for a method."""
-    asked = "code = main(sys.argv[1:]); sys.exit(code + 10 * ('torch' in sys.modules))"
-    program = f"import sys; from r2h_batch.__main__ import main; {asked}"
-    for words, said in each(
-        [
-            (["99999", "--method", "random"], "has no trial 99999"),
-            (["1", "--method", "randm"], ", did you mean random?; it has"),
-        ]
-    ):
-        done = subprocess.run([sys.executable, "-c", program, "why", str(run), *words], capture_output=True, text=True)
-        assert done.returncode == 2 and said in done.stderr.splitlines()[-1], done.stderr
 
 
 @pytest.mark.parametrize(

@@ -195,13 +195,9 @@ def reception(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.runs.files import RunError, in_the_way
-    from r2h_batch.runs.store import load_run
+    run = _opened(folder, method, "reception")
     from r2h_batch.sweep.results import reception as received
 
-    if what := in_the_way(folder / "reception", folder=True):
-        raise RunError(what)
-    run = load_run(folder).only(method)
     tables = received.tables_of_run(run, benchmark, device)
     for name, table in tables.items():
         received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)
@@ -231,14 +227,10 @@ def picked(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.runs.files import RunError, in_the_way
-    from r2h_batch.runs.store import load_run
+    check_seed(seed)
+    run = _opened(folder, method, "picked")
     from r2h_batch.sweep.results import picked as of_table
 
-    check_seed(seed)
-    if what := in_the_way(folder / of_table.FOLDER, folder=True):
-        raise RunError(what)
-    run = load_run(folder).only(method)
     print(of_table.render(of_table.write_tables(run, benchmark, device=device, seed=seed)), end="")
     return 0
 
@@ -268,20 +260,15 @@ def held(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N, for the grasps.
     """
-    from r2h_batch.base.launch import cpu_threads
-    from r2h_batch.report.held import FOLDER
-    from r2h_batch.runs.files import RunError, in_the_way
-    from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results import held as simulated
-
     check_range("--processes", processes, 0, MOST_PROCESSES)
     if not 0 < torsion_mm <= MOST_TORSION_MM:
         raise UsageError(
             f"--torsion-mm {torsion_mm:g}: give more than 0 and at most {MOST_TORSION_MM:g}, the half width of a pad"
         )
-    if what := in_the_way(folder / FOLDER, folder=True):
-        raise RunError(what)
-    run = load_run(folder).only(method)
+    run = _opened(folder, method, "held")
+    from r2h_batch.base.launch import cpu_threads
+    from r2h_batch.sweep.results import held as simulated
+
     files = simulated.write_tables(
         run, benchmark, count=processes or cpu_threads(), device=device, torsion_mm=torsion_mm
     )
@@ -309,14 +296,9 @@ def viewed(
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
     """
-    from r2h_batch.report.viewed import FOLDER
-    from r2h_batch.runs.files import RunError, in_the_way
-    from r2h_batch.runs.store import load_run
+    run = _opened(folder, method, "viewed")
     from r2h_batch.sweep.results import viewed as of_table
 
-    if what := in_the_way(folder / FOLDER, folder=True):
-        raise RunError(what)
-    run = load_run(folder).only(method)
     print(of_table.render(of_table.write_tables(run, benchmark, device=device)), end="")
     return 0
 
@@ -356,14 +338,8 @@ def transfer(
     """
     from itertools import product
 
-    from r2h_batch.base.launch import cpu_threads
-    from r2h_batch.closed_loop.transfer.cases import Case
     from r2h_batch.config import ExecConfig
-    from r2h_batch.runs.files import RunError, in_the_way
-    from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results import transfer as transferred
 
-    check_cases(release, scenario, flag="--scenario")
     check_range("--draws", draws, 1, MOST_DRAWS)
     check_range("--processes", processes, 0, MOST_PROCESSES)
     check_seed(seed)
@@ -372,9 +348,12 @@ def transfer(
         raise UsageError(
             f"--processes {processes}: mjwarp has its worlds in one process; --sim mujoco takes several"
         )
-    if what := in_the_way(folder / "transfer", folder=True):
-        raise RunError(what)
-    run = load_run(folder).only(method)
+    run = _opened(folder, method, "transfer")
+    from r2h_batch.base.launch import cpu_threads
+    from r2h_batch.closed_loop.transfer.cases import Case
+    from r2h_batch.sweep.results import transfer as transferred
+
+    check_cases(release, scenario, flag="--scenario")
     files = transferred.write_tables(
         run, benchmark, release=release, scenario=scenario, persons=draws, seed=seed,
         count=processes or cpu_threads(), sim=engine, device=device,
@@ -382,6 +361,20 @@ def transfer(
     cases = [Case(*c) for c in product(release, scenario, range(draws))]
     print(transferred.render(files, cases), end="")
     return 0
+
+
+def _opened(folder: Path, method: Sequence[str], side: str) -> "Run":
+    """The run with these methods. Commands open it before they import what judges, so that a missing one is told at once.
+
+    Raises:
+        RunError: no such run or method, or a file stands where the folder `side` of the results goes.
+    """
+    from r2h_batch.runs.files import RunError, in_the_way
+    from r2h_batch.runs.store import load_run
+
+    if what := in_the_way(folder / side, folder=True):
+        raise RunError(what)
+    return load_run(folder).only(method)
 
 
 def check_cases(release: Sequence[str], scenario: Sequence[str], *, flag: str) -> None:

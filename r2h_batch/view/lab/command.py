@@ -12,6 +12,7 @@ from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 1000
+LEAST_TCP_SPEED, MOST_TCP_SPEED = 0.01, 1.5
 
 
 def export(
@@ -39,8 +40,6 @@ def export(
         benchmark: where its files are now, if they are not where the sweep found them.
     """
     wanted = ids_of(trials)
-    from r2h_batch.view.lab.paths import LEAST_TCP_SPEED, MOST_TCP_SPEED
-
     if not LEAST_TCP_SPEED <= tcp_speed <= MOST_TCP_SPEED:
         raise UsageError(
             f"--tcp-speed is {tcp_speed:g}; it must be from {LEAST_TCP_SPEED} to {MOST_TCP_SPEED} m/s"
@@ -48,17 +47,24 @@ def export(
     if not 10 <= rate_hz <= 500:
         raise UsageError(f"--rate-hz is {rate_hz:g}; it must be from 10 to 500")
     check_output_folder(out, overwrite=None)
-    from r2h_batch.base.io.progress import progress
     from r2h_batch.base.io.write import write_text
-    from r2h_batch.view.lab.folder import SAFETY, write_objects, write_outcomes, write_trial
-    from r2h_batch.view.stored import UNJUDGED, Reader
+    from r2h_batch.runs.store import UNJUDGED, load_run
 
-    reader = Reader(run, benchmark)
-    names = [reader.method(m) for m in method] if method else list(reader.run.methods)
-    found = {n: {r["trial_id"]: r["outcome"] for r in reader.rows(n).to_pylist()} for n in names}
+    stored_run = load_run(run)  # what is not there is told before torch is imported
+    names = [stored_run.complete(word) for word in method or stored_run.methods]
+    found = {
+        name: {r["trial_id"]: r["outcome"] for r in table.to_pylist()}
+        for name in names
+        for table in [stored_run.trials(name, ["trial_id", "outcome"])]
+    }
     missing = [i for i in wanted if not any(i in rows for rows in found.values())]
     if missing:
         raise UsageError(f"--trials: the run has no trial {_short(missing)}")
+    from r2h_batch.base.io.progress import progress
+    from r2h_batch.view.lab.folder import SAFETY, write_objects, write_outcomes, write_trial
+    from r2h_batch.view.stored import Reader
+
+    reader = Reader(stored_run, benchmark)
     rows, models, without = [], {}, []
     with progress("trials for the robot", len(wanted) * len(names), "trials") as advance:
         for i in wanted:
