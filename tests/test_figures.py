@@ -30,7 +30,7 @@ APART = {
     "viewed",
 }
 APART |= {"meshes", "attacks", "strangers", "closing_angle", "pick", "lift", "whole", "growth"}
-APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines", "long"}
+APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "judge_physics", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
