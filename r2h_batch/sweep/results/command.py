@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 MOST_TORSION_MM = 11.0
 MOST_DRAWS, MOST_PROCESSES = 10_000, 1024
+RELEASE, SCENARIO = ("load-share",), ("take",)
+"""Default policies and scenarios of `transfer`."""
 LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -307,8 +309,8 @@ def transfer(
     folder: Path,
     /,
     *,
-    release: tuple[str, ...] = ("load-share",),
-    scenario: tuple[str, ...] = ("take",),
+    release: tuple[str, ...] = RELEASE,
+    scenario: tuple[str, ...] = SCENARIO,
     draws: int = 1,
     method: tuple[str, ...] = (),
     seed: int = 0,
@@ -348,12 +350,13 @@ def transfer(
         raise UsageError(
             f"--processes {processes}: mjwarp has its worlds in one process; --sim mujoco takes several"
         )
+    if (release, scenario) != (RELEASE, SCENARIO):  # looking others up imports torch
+        check_cases(release, scenario, flag="--scenario")
     run = _opened(folder, method, "transfer")
     from r2h_batch.base.launch import cpu_threads
     from r2h_batch.closed_loop.transfer.cases import Case
     from r2h_batch.sweep.results import transfer as transferred
 
-    check_cases(release, scenario, flag="--scenario")
     files = transferred.write_tables(
         run, benchmark, release=release, scenario=scenario, persons=draws, seed=seed,
         count=processes or cpu_threads(), sim=engine, device=device,
