@@ -36,9 +36,9 @@ def scene(
         check_output_file(render, overwrite=overwrite, flag="--render", endings=(".png", ".jpg"))
     from r2h_batch.runs.store import load_run
 
-    run_of = load_run(run)
-    number = run_of.trial_id(trial)
-    run_of.holding(number, [method] if method else [])  # before torch is imported
+    opened = load_run(run)
+    number = opened.trial_id(trial)
+    opened.holding(number, [method] if method else [])  # before torch is imported
     import numpy as np
 
     from r2h_batch.view.drawing import Drawing
@@ -46,7 +46,7 @@ def scene(
     from r2h_batch.view.pictures import images, save_picture
     from r2h_batch.view.stored import Reader
 
-    stored = Reader(run_of, benchmark).trial(number, method or None)
+    stored = Reader(opened, benchmark).trial(number, method or None)
     folder = export_trial(stored, out)
     if render:
         row = [image for image, _ in images(Drawing(stored), (600, 600), 3)]

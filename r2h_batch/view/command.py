@@ -119,8 +119,9 @@ def view(
     words = method or (stored.methods[:1] if browser else ())
     if trial is not None:
         stored.holding(trial, words, judged=not browser)
-    for word in words:
-        stored.complete(word)
+    else:
+        for word in words:
+            stored.complete(word)
     if transfer:
         from r2h_batch.sweep.results.command import check_cases
 
