@@ -15,7 +15,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,31 +37,65 @@ MACHINE_FACTS = ("t_plan_s", "versions", "git_commit", "digests", "configuration
 
 ENGINES = ("none", "mujoco", "mjwarp")
 FAMILIES = "r2h-v2"
-CASES = (*ENGINES, "pose", FAMILIES)
-FAMILIES_TRIALS = 16
+ROWS = 16
+"""Rows of a method in each case beyond r2h-v0."""
+
+
+class Sweep(NamedTuple):
+    """A case that a command makes: what is swept, by which methods, with which flags."""
+
+    benchmark: str
+    methods: tuple[str, ...]
+    flags: tuple[str, ...] = ("--sim", "none")
+
+
+SWEEPS = {
+    FAMILIES: Sweep(FAMILIES, (*METHODS, "learned")),  # learned was trained for this benchmark
+    "r2h-v1": Sweep("r2h-v1", ("random", "fc", "intent")),
+    "release": Sweep("r2h-release", ("random", "contact"), ("--sim", "none", "--preset", "release")),
+    "draft": Sweep("r2h-v3-draft", ("random", "oracle", "fc")),
+    "sees": Sweep(FAMILIES, ("robust", "learned"), ("--sim", "none", "--sees", "cell-v1,region=told")),
+    "closed": Sweep(FAMILIES, ("oracle",), ("--sim", "none", "--receiver-motion", "moves", "--policy", "servo")),
+    "physics": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--stability", "physics")),
+    "mesh": Sweep(FAMILIES, ("random", "fc")),
+    "ur3e_2f85": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--robot", "ur3e_2f85")),
+    "panda_hand": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--robot", "panda_hand")),
+}
+CASES = (*ENGINES, "pose", "gradients", "redraws", *SWEEPS)
 
 
 def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
     """Digest and outcomes of each part of a case of `CASES`; an engine's also of an export."""
-    if case == FAMILIES:
-        return _families(folder)
-    return _candidates() if case == "pose" else sweep_digests(case, folder)
+    if case in SWEEPS:
+        return _swept(case, folder)
+    made = {"pose": _candidates, "gradients": _gradients, "redraws": _redraws}
+    return made[case]() if case in made else sweep_digests(case, folder)
 
 
-def _families(folder: Path) -> dict[str, dict[str, str]]:
-    """Rows of methods in r2h-v2, with who the receivers are; motion as planned."""
-    methods = (*METHODS, "learned")  # trained for this benchmark
-    line = [
-        "--method",
-        *methods,
-        "--benchmark",
-        FAMILIES,
-        "--trials",
-        str(FAMILIES_TRIALS // 2),
-        "--sim",
-        "none",
-    ]
-    return _rows(FAMILIES, line, methods, folder, TIMES)
+def _swept(case: str, folder: Path) -> dict[str, dict[str, str]]:
+    """Rows of a case of `SWEEPS`, with who the receivers are."""
+    benchmark, methods, flags = SWEEPS[case]
+    if case == "mesh":
+        flags += _mesh_flags(folder)
+    line = ["--method", *methods, "--benchmark", benchmark, "--trials", str(ROWS // 2), *flags]
+    return _rows(case, line, methods, folder, TIMES)
+
+
+def _mesh_flags(folder: Path) -> tuple[str, ...]:
+    """An object of a user's own: a bar with a knob, open at one face, so that it is repaired on the way."""
+    import trimesh
+
+    bar = trimesh.creation.box((0.02, 0.015, 0.16))
+    bar.update_faces(np.arange(len(bar.faces)) != 3)
+    knob = trimesh.creation.icosphere(2, 0.02)
+    knob.apply_translation((0, 0, 0.08))
+    meshes = folder / "meshes"
+    meshes.mkdir()
+    trimesh.util.concatenate([bar, knob]).export(meshes / "bar.obj")
+    (meshes / "bar.yaml").write_text("split: S1\nreceiver: z<0.3\nmass: 0.2\n")
+    trimesh.creation.capsule(0.1, 0.025).export(meshes / "stick.stl")
+    (meshes / "stick.yaml").write_text("split: S0\nmass: 0.2\n")
+    return ("--objects", str(meshes))
 
 
 def sweep_digests(
@@ -149,6 +183,38 @@ def _candidates() -> dict[str, dict[str, str]]:
         values = getattr(scores, name).numpy()
         parts += [name, str(values.dtype), list(values.shape), hashlib.sha256(values.tobytes()).hexdigest()]
     return {"pose": {"digest": _digest(parts), "outcomes": " ".join(map(str, scores.outcome.tolist()))}}
+
+
+def _gradients() -> dict[str, dict[str, str]]:
+    """Gradients of the soft score by both poses, of the first candidates of `golden_poses.npz` (r2h-v0): their digest, and in
+    place of outcomes the sign of each, to one digit, of the sum over a row."""
+    import torch
+    from problems import default_evaluator
+
+    from r2h_batch import load_benchmark
+
+    with np.load(POSES) as mix:
+        ids, T_obj_ee, T_world_ee = (torch.from_numpy(mix[k][:ROWS]) for k in ("trial_id", "T_obj_ee", "T_world_ee"))
+    moved = T_obj_ee.clone().requires_grad_(), T_world_ee.clone().requires_grad_()
+    scores = default_evaluator().score(*moved, load_benchmark("r2h-v0").trials_with_ids(ids), stages="pose")
+    found = torch.autograd.grad(scores.soft(temperature_m=0.005, log=True).sum(), moved)
+    bits = [hashlib.sha256(g.contiguous().numpy().tobytes()).hexdigest() for g in found]
+    words = " ".join(f"{np.sign(g):+.0f}" for g in torch.cat([x[:, :3, 3] for x in found]).flatten().tolist())
+    return {"gradients": {"digest": _digest(bits), "outcomes": words}}
+
+
+def _redraws() -> dict[str, dict[str, str]]:
+    """The draft's trials: where hands and objects are, how often each was drawn again, which certificates are in force."""
+    from r2h_batch import load_benchmark
+
+    benchmark = load_benchmark("r2h-v3-draft")
+    trials = benchmark.trials(ROWS)
+    ids = trials.trial_id.numpy()
+    redraws, answers = benchmark.redraws(ids), benchmark.certificates(ids)
+    placed = [x.numpy().tobytes().hex() for x in (trials.T_world_hand, trials.object_index, trials.hand_index)]
+    solved = [str(np.asarray(x).tolist()) for x in (answers.known, answers.T_obj_ee, answers.T_world_ee)]
+    words = " ".join(map(str, redraws.tolist()))
+    return {"redraws": {"digest": _digest([*placed, words, *solved]), "outcomes": words}}
 
 
 def _without(row: dict[str, Any], names: Iterable[str]) -> dict[str, Any]:

@@ -1,0 +1,72 @@
+"""Run folders that r2h_batch 0.3 wrote (commit 7d23856b) open as they did: every command that reads one, on each kind of run."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.runs.store import load_run
+
+FROZEN = Path(__file__).resolve().parents[1] / "frozen"
+RUNS = ("static", "simulated", "closed_loop", "sees", "draft", "quarantine")
+DIGESTS = json.loads((FROZEN / "digests.json").read_text())
+"""Run -> method -> what `results digest` said, and the outcomes of its rows in order; both as 0.3 read them."""
+UNFINISHED = {"quarantine": 1}
+"""Run -> exit code of `report` and `compare`, where a method's shards are not all there."""
+
+
+@pytest.fixture
+def run(request, tmp_path):
+    """A copy: nothing may be written into the kept ones."""
+    return Path(shutil.copytree(FROZEN / request.param, tmp_path / request.param))
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_rows_and_digests_are_those_that_were_stored(name):
+    stored = load_run(FROZEN / name)
+    assert set(stored.methods) | set(stored.unfinished) == set(DIGESTS[name])
+    for method in stored.methods:
+        assert stored.digest(method) == DIGESTS[name][method]["digest"], method
+        outcomes = [row["outcome"] for row in stored.trials(method).to_pylist()]
+        assert outcomes == DIGESTS[name][method]["outcomes"].split(), method
+
+
+@pytest.mark.parametrize("run", RUNS, indirect=True)
+def test_tables_pages_and_reasons_are_printed(run, tmp_path, capsys):
+    page, finished = tmp_path / "page.html", UNFINISHED.get(run.name, 0) == 0
+    several = finished and len(load_run(run).methods) > 1
+    for line in (
+        ["report", str(run)],
+        ["report", str(run), "--by-object", "--format", "json"],
+        ["report", str(run), "--format", "html", "--out", str(page)],
+        *([["compare", str(run)]] if several else []),
+        *([["compare", str(run), "baselines"]] if run.name == "static" else []),
+        ["ls", "runs", str(run.parent)],
+        ["results", "digest", str(run)],
+        ["why", str(run), "0"],
+    ):
+        code, said = main(line), capsys.readouterr()
+        expected = UNFINISHED.get(run.name, 0) if line[0] == "report" else 0
+        assert code == expected, f"{' '.join(line)}: {said.err}"
+        assert said.out or page.exists()
+
+
+@pytest.mark.parametrize("run", RUNS, indirect=True)
+def test_nothing_is_set_aside_and_rows_are_judged_again(run, capsys):
+    before = sorted(p.relative_to(run) for p in run.rglob("*"))
+    assert main(["results", "verify", str(run)]) == 0, capsys.readouterr()
+    assert sorted(p.relative_to(run) for p in run.rglob("*")) == before
+    main(["results", "reevaluate", str(run), "--rows", "2", "--seed", "0"])
+    said = capsys.readouterr()
+    assert "Traceback" not in said.err and "judged again" in said.out, said
+
+
+@pytest.mark.parametrize("run", ["static", "closed_loop", "draft"], indirect=True)
+def test_a_trial_is_shown(run, tmp_path, capsys):
+    method = load_run(run).methods[0]
+    strips = tmp_path / "strips.png"
+    line = ["view", str(run), "--method", method, "--trial", "0", "--strips", str(strips), "--frames", "2"]
+    assert main(line) == 0, capsys.readouterr().err
+    assert strips.stat().st_size > 1000
