@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 from r2h_batch.base.command_line import Command, exit_code_of, failed, parse, refuse, run_command
 from r2h_batch.base.errors import nearest
+from r2h_batch.base.gone import gone
 from r2h_batch.base.package import VERSION
 
 COMMANDS = {
@@ -123,8 +124,8 @@ def command_of(name: str) -> Any:
 
 
 def _about(name: str, given: Sequence[str], prog: str) -> int:
-    """Answers what is asked of the command itself: version, help, shell completion, or an unknown
-    subcommand."""
+    """Answers what is asked of the command itself: version, help, shell completion, or a subcommand that is unknown or
+    went."""
     if name == "--version":
         print(f"r2h_batch {VERSION}")
         return 0
@@ -137,6 +138,8 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
             parse(_completed(), given, prog=prog)
         except OSError as error:
             return failed(prog, error)
+    if told := gone(name):
+        return refuse(prog, told)
     kind, allowed = (
         ("flag", ["--help", "--version"])
         if name.startswith("-")

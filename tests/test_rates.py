@@ -25,7 +25,7 @@ KINDS = {"definition", "publication", "test", "command", "history"}
 """history: of an earlier version, as the sentence says; its rows are gone."""
 ALSO_BY_TABLES = {"closed_loop", "families", "reception"}
 """Benches whose pages bench/tables.py writes too: tests/test_published.py compares these."""
-OWN_WORDS = ("bench/gpu.py", "bench/watch.py", "bench/views.py")
+OWN_WORDS = ("bench/gpu.py", "bench/watch.py")
 """Benches that write no page of docs/."""
 
 

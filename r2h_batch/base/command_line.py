@@ -22,6 +22,7 @@ from functools import partial
 from typing import Annotated, Any, Literal, TextIO, get_args, get_origin, get_type_hints
 
 from r2h_batch.base.errors import FileError, MachineError, UsageError, UserError, nearest
+from r2h_batch.base.gone import gone
 from r2h_batch.base.io.log import LOG, silence
 from r2h_batch.base.io.progress import not_silent
 from r2h_batch.base.io.read import printable
@@ -60,10 +61,13 @@ def parse(
     # what is hidden is not understood either, so flags are hidden from help alone
     every = HELP_ALL in arguments or not {"-h", "--help"} & set(arguments)
     arguments = ["--help" if a == HELP_ALL else a for a in arguments]
+    name = prog.split()[-1].removeprefix("r2h_batch.")
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
         if words and words[0] not in command and not completing:
+            if told := gone(f"{name} {words[0]}"):
+                raise UsageError(told)
             what = f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}"
             raise UsageError(f"{what}; allowed are {', '.join(command)}")
         chosen = command.get(words[0]) if words else None
@@ -87,7 +91,9 @@ def parse(
         if not stop.code:
             raise  # --help, or a shell completion
         flags = [*more_flags, *(_flags(chosen) if chosen is not None else ())]
-        raise UsageError(_one_line(box.getvalue(), arguments, flags)) from None
+        if isinstance(command, Mapping) and words:
+            name += f" {words[0]}"
+        raise UsageError(_one_line(box.getvalue(), arguments, flags, name)) from None
     typed = [a.partition("=")[0].replace("_", "-") for a in arguments if a.startswith("--")]
     kinds = get_type_hints(chosen) if chosen is not None else {}
     for name in (name for name, kind in kinds.items() if get_origin(kind) is tuple):
@@ -407,12 +413,15 @@ MOST_FLAGS_IN_A_LINE = 30
 _NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
 
 
-def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
-    """tyro's box as one line; a misspelt flag or value with its nearest match."""
+def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str], command: str) -> str:
+    """tyro's box as one line; a misspelt flag or value with its nearest match, one that `command` has no more with what to
+    use instead."""
     for argument in arguments:
         name = argument.partition("=")[0].replace("_", "-")
         is_number = name[1:].replace(".", "").isdigit()
         if name.startswith("-") and name not in (*flags, "-h", "--help") and not is_number:
+            if told := gone(f"{command} {name}"):
+                return told
             allowed = f"allowed are {', '.join(flags)}" if flags else "it has none but --help"
             if len(flags) > MOST_FLAGS_IN_A_LINE:
                 allowed = "see --help-all" if "--help-all" in flags else "see --help"
@@ -433,6 +442,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
     if found := re.search(
         r"invalid choice '([^']*)' for argument '(.*)'\. Expected one of \((.*)\)", text
     ):
+        if told := gone(f"{command} {found[2]} {found[1]}"):
+            return told
         values = [word for word in re.findall(r"'([^']*)'", found[3]) if word not in ("", "None")]
         text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
     if found := re.fullmatch(r"Unrecognized options: (\S+).*", text):

@@ -148,12 +148,8 @@ class AskedHere:
             found["noise"] = self._noise
         seen = world.receiving
         if "predictor" in self._takes:
-            found["predictor"] = contacts_of_any
-            if not found.get("cameras"):  # else the network is shown less than the solid
-                on = np.stack([contacts_on(model) for model in world.scene.objects])
-                seen = replace(
-                    seen, contacts=ExternalPoints("seen solid", None, {"probability": on})
-                )
+            on = np.stack([contacts_on(model) for model in world.scene.objects])
+            seen = replace(seen, contacts=ExternalPoints("seen solid", None, {"probability": on}))
         if "seen" in self._takes:
             found["seen"] = seen
         if "T_world_obj" in self._takes and "pick" in world.scene.benchmark.asks:

@@ -37,7 +37,6 @@ from r2h_batch.methods.placing import (
 from r2h_batch.methods.predictors import (
     ContactPredictor,
     Contacts,
-    DepthView,
     Observations,
     PredictorNoise,
     predict_contacts,
@@ -94,11 +93,6 @@ def predict(
     gate: Gate = "none",
     at: Anchor = "object",
     contacts: Contacts = "left-out",
-    cameras: int = 0,
-    depth_noise: float = 1.0,
-    depth_lost: float = 0.0,
-    camera_m: float = 0.0,
-    camera_deg: float = 0.0,
 ) -> Predictions:
     """One grasp and handover pose a trial.
 
@@ -125,17 +119,11 @@ def predict(
         gate: what an orientation must pass (`gate.Gate`).
         at: what stands above the palm.
         contacts: which built-in weights answer (`predictors.Contacts`).
-        cameras: depth cameras that show the object to the network; 0: it sees the whole solid.
-        depth_noise: factor on the cameras' axial noise.
-        depth_lost: share of depth points that are lost.
-        camera_m: deviation of a camera's place, m.
-        camera_deg: deviation of a camera's direction, degrees.
 
     Returns:
         `T_obj_ee` (N, 4, 4) and `T_world_ee` (N, 4, 4), m.
     """
     check_choice("contacts", contacts, Contacts)
-    view = DepthView(cameras, depth_noise, depth_lost, camera_m, camera_deg)
     table = candidate_table(scene)
     clustered = in_clusters(scene, eps_m, min_samples)
     near = points_near_gripper(scene, blocked_m)
@@ -143,15 +131,7 @@ def predict(
     def choose(part: Trials, rows_of: slice) -> tuple[Tensor, Tensor]:
         taking = predict_receiving(part, scene, seed=seed, noise=noise, seen=seen)
         target = predict_target(part, scene, seed=seed, noise=noise, seen=seen)
-        contact = predict_contacts(
-            part,
-            scene,
-            predictor=predictor,
-            seen=seen,
-            contacts=contacts,
-            view=view,
-            seed=seed,
-        )
+        contact = predict_contacts(part, scene, predictor=predictor, seen=seen, contacts=contacts)
         rows, exists = table.rows(part.object_index)
         clear = candidates_clear_of(scene, table, part.object_index, taking.vertices, clearance_m)
         blocked = blocked_contact(

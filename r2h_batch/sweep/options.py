@@ -19,6 +19,7 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from r2h_batch.base import command_line
 from r2h_batch.base.errors import FileError, UsageError, nearest
+from r2h_batch.base.gone import gone
 from r2h_batch.base.registry import (
     DEFAULT_PROTOCOL,
     METHOD_NAMES,
@@ -593,13 +594,15 @@ def load_config(path: Path) -> Options:
 
 
 def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
-    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, settings
+    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, flag_of, settings
 
     allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, *IN_ONE_WORD]
     for name in names:
         if name not in allowed:
             if how := elsewhere(str(name)):
                 raise UsageError(f"{where}: {name} is no {kind} of its own; {how}")
+            if told := gone(f"sweep {flag_of(str(name))}"):
+                raise UsageError(f"{where}: {told}")
             hint = nearest(str(name), allowed)
             raise UsageError(f"{where}: unknown {kind} {name!r}{hint}; see --help-all")
 
@@ -747,6 +750,8 @@ def options_of(method: str, function: Callable[..., Any], *, known: bool) -> dic
         name, equals, text = (x.strip() for x in part.partition("="))
         name += "_" if keyword.iskeyword(name) else ""  # oracle,for=reception: parameter for_
         if name not in allowed:
+            if told := gone(f"--method {base},{name}"):
+                raise UsageError(told)
             takes = f"allowed are {', '.join(allowed)}" if allowed else "it takes none"
             hint = nearest(name, list(allowed))
             raise UsageError(f"--method {base}: unknown option {name!r}{hint}; {takes}")

@@ -2,7 +2,6 @@
 see the truth."""
 
 from r2h_batch.methods.predictors.contacts import Contacts, predict_contacts
-from r2h_batch.methods.predictors.depth_view import DepthView
 from r2h_batch.methods.predictors.external_predictions import Observations, read_observations
 from r2h_batch.methods.predictors.files import load_predictor
 from r2h_batch.methods.predictors.grid import ContactPredictor
@@ -19,7 +18,6 @@ from r2h_batch.trials.noise import PredictorNoise
 __all__ = [
     "ContactPredictor",
     "Contacts",
-    "DepthView",
     "Observations",
     "PredictorNoise",
     "ReceivingHand",

@@ -7,7 +7,7 @@ What such a network takes and returns: `r2h_batch.methods.predictors.grid`.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -17,9 +17,7 @@ from jaxtyping import Float32
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.base import rng
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
-from r2h_batch.methods.predictors.depth_view import DRAWS, DepthView, carved
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
@@ -36,7 +34,6 @@ from r2h_batch.scene.objects import (
     object_digest,
 )
 from r2h_batch.scene.scene import Scene
-from r2h_batch.trials.noise import trial_ids
 from r2h_batch.types import Trials
 
 CONTACT_THRESHOLD = 0.4
@@ -57,8 +54,6 @@ def predict_contacts(
     predictor: ContactPredictor | None = None,
     seen: Observations | None = None,
     contacts: Contacts = "left-out",
-    view: DepthView | None = None,
-    seed: int = 0,
 ) -> Float32[Tensor, "n p"]:
     """Probability that a person touches each cloud point (`ObjectModel.points`).
 
@@ -70,43 +65,30 @@ def predict_contacts(
         predictor: the network; None: the built-in VoxNet.
         seen: answers of your own network instead.
         contacts: which of the built-in weights answer (`Contacts`).
-        view: the network sees what these cameras leave of the grid, one of `DRAWS` sets; it still
-            answers for the whole cloud. None: it sees all.
-        seed: key of the draw of the set; a row depends on seed and trial id alone.
 
     Returns:
         (N, P) probabilities.
     """
     if seen is not None and seen.contacts is not None:
         return seen.contacts.of(trials)["probability"].to(trials.trial_id.device)
-    device = trials.trial_id.device
-    index = trials.object_index.long()
-    if view is None or not view.cameras:
-        return _of_objects(scene, predictor, contacts, None, 0).to(device)[index, 0]
-    (u,) = rng.uniforms(rng.key_of(f"depth views {seed}"), trial_ids(trials.trial_id), 1, purpose=0)
-    draw = torch.from_numpy(rng.choice(u, DRAWS)).to(device)
-    return _of_objects(scene, predictor, contacts, view, seed).to(device)[index, draw]
+    found = _of_objects(scene, predictor, contacts)
+    return found.to(trials.trial_id.device)[trials.object_index.long()]
 
 
 def _of_objects(
-    scene: Scene,
-    predictor: ContactPredictor | None,
-    contacts: Contacts,
-    view: DepthView | None,
-    seed: int,
-) -> Float32[Tensor, "o d p"]:
-    key = (scene.objects, predictor, contacts, view, seed)
+    scene: Scene, predictor: ContactPredictor | None, contacts: Contacts
+) -> Float32[Tensor, "o p"]:
+    key = (scene.objects, predictor, contacts)
     if key not in _cached:
         if len(_cached) >= 8:
             _cached.clear()
         rows = []
-        for i, o in enumerate(scene.objects):
+        for o in scene.objects:
             network = _network_for(o, contacts) if predictor is None else predictor
-            if isinstance(network, Slow) and view is None:
-                rows.append(_kept(o, network)[None])
-                continue
-            grids = grids_of(scene, i, view, seed)
-            rows.append(torch.stack([_of_object(o, network, grid) for grid in grids]))
+            if isinstance(network, Slow):
+                rows.append(_kept(o, network))
+            else:
+                rows.append(_of_object(o, network, contact_grids([o])))
         _cached[key] = torch.stack(rows)
     return _cached[key]
 
@@ -161,17 +143,6 @@ def _kept(model: ObjectModel, network: Slow) -> Float32[Tensor, " p"]:
     key = hashlib.sha256(made_of.encode()).hexdigest()
     form = {"probability": ArraySpec("float32", (len(model.points),))}
     return torch.from_numpy(cached("contacts", key, make, form)["probability"].copy())
-
-
-def grids_of(scene: Scene, row: int, view: DepthView | None, seed: int) -> Iterator[Tensor]:
-    """(1, 5, 64, 64, 64) grids of an object: of the solid, or of each set of cameras."""
-    grid = contact_grids([scene.objects[row]])
-    if view is None:
-        yield grid
-        return
-    for draw in range(DRAWS):
-        grid[0, 0] = torch.from_numpy(carved(scene, row, view, draw, seed))
-        yield grid
 
 
 def _of_object(

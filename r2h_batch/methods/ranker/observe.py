@@ -101,7 +101,7 @@ def observe(
         "opening_m": table.opening_m[candidate], "score": table.score[candidate], "exists": exists,
     }  # fmt: skip
     if see.contacts:
-        contact = predict_contacts(trials, scene, seed=seed, seen=seen)
+        contact = predict_contacts(trials, scene, seen=seen)
         found["contact"] = contact[:, points].contiguous()
     return found, torch.where(count > 0, mean, _middles(scene.objects)[o])
 

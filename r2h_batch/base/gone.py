@@ -1,0 +1,21 @@
+"""What r2h_batch 0.3 had and this version has not: commands, flags and options, each with what to use instead.
+
+Who looks up a name that is unknown asks here too, so that an old command line is told what became of it. Imports nothing.
+"""
+
+_SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
+
+GONE = {
+    **{
+        f"--method contact,{option}": _SEES
+        for option in ("cameras", "depth_noise", "depth_lost", "camera_m", "camera_deg")
+    },
+}
+"""A command with the word that went (`sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`, `--method NAME,OPTION`)
+-> what to use instead."""
+
+
+def gone(name: str) -> str:
+    """One line about a name that went, as `GONE` spells it; empty where nothing of this name was ever there."""
+    how = GONE.get(name)
+    return f"{name}: r2h_batch 0.3 had it, this version has not; {how}" if how else ""
