@@ -356,7 +356,7 @@ def resolve(methods: Methods, loop: "Loop | None" = None) -> None:
     if methods.predictor:
         from r2h_batch.methods.predictors import load_predictor
 
-        load_predictor(methods.predictor, trust_code=methods.trust_code)
+        load_predictor(methods.predictor)
 
 
 def _function_of(word: str) -> str:
@@ -453,7 +453,7 @@ def _method_job(
         extra["noise"] = methods.noise
         own = methods.predictor if built_in and "predictor" in takes else ""
         if own:
-            extra["predictor"] = load_predictor(own, trust_code=methods.trust_code)
+            extra["predictor"] = load_predictor(own)
         if seen is not None and "seen" in takes:
             extra["seen"] = seen
         if built_in:

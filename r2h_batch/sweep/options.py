@@ -197,14 +197,6 @@ class Flags:
             "methods",
         ),
     ] = ""
-    trust_code: Annotated[
-        bool,
-        Flag(
-            "also accept a TorchScript file as predictor; such a program can write any file. A --config file "
-            "cannot set this: use --trust-code",
-            "methods",
-        ),
-    ] = False
     predictor_noise: Annotated[
         float,
         Flag("factor on the error model of what the methods see; 0: they see the truth", "methods"),
@@ -573,9 +565,6 @@ def load_config(path: Path) -> Options:
         except UsageError as error:
             raise UsageError(f"{path}: {error}") from None
         _check_names(str(path), "field", data)
-        if data.get("trust_code"):  # the file may come from whoever made the network
-            words = "trust_code is not an option of a file"
-            raise UsageError(f"{path}: {words}; add the flag --trust-code")
         text = json.dumps(data, default=str)
         options = pydantic.TypeAdapter(Flags).validate_json(text, strict=True)
         values = {k: _expanded(v) for k, v in asdict(options).items()}

@@ -100,7 +100,6 @@ class Methods:
         noise_factor: on the error model of what they see.
         errors: the error model of the target hand.
         predictor: the contact network of the method contact; empty: the built-in one.
-        trust_code: whether it may be a program.
         seen: key of `SEEN_BY` -> file of a network's answers.
         allow_empty_candidates: count trials of objects without grasps as failures.
         allow_missing: count trials that a file leaves out as failures.
@@ -114,7 +113,6 @@ class Methods:
     noise_factor: float = 1.0
     errors: "Errors" = "normal"
     predictor: str = ""
-    trust_code: bool = False
     seen: Mapping[str, str] = field(default_factory=dict)
     allow_empty_candidates: bool = False
     allow_missing: bool = False
@@ -235,7 +233,7 @@ def requested(options: Options) -> Request:
     methods = Methods(
         names=tuple(map(spelled_out, options.method)), predictions=options.predictions, motions=options.motions,
         seed=options.seed, noise_factor=options.predictor_noise, errors=config.estimate.errors,
-        predictor=options.predictor, trust_code=options.trust_code,
+        predictor=options.predictor,
         seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
         allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
         sees=_sees(options),

@@ -35,7 +35,7 @@ def another(hint, value):
 @pytest.mark.check
 def test_every_field_comes_back_from_a_file(tmp_path):
     hints = get_type_hints(Flags)
-    names = [f.name for f in dataclasses.fields(Flags) if f.name != "trust_code"]  # which no file may say
+    names = [f.name for f in dataclasses.fields(Flags)]
     options = Options(**{name: another(hints[name], getattr(Options(), name)) for name in names})
     assert all(getattr(options, name) != getattr(Options(), name) for name in names)
     data = {name: value for name, value in dataclasses.asdict(options).items() if name != "settings"}

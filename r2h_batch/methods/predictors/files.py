@@ -1,5 +1,4 @@
-"""A user's own contact predictor: an ONNX network, weights of the built-in VoxNet, a Python
-function, or, from a source that the user trusts, a TorchScript file."""
+"""A user's own contact predictor: an ONNX network, weights of the built-in VoxNet, or a Python function."""
 
 from __future__ import annotations
 
@@ -9,40 +8,33 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-import torch
 from torch import Tensor
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.onnx import OnnxNetwork
-from r2h_batch.base.io.read import archive_members, open_archive, printable, read_file
+from r2h_batch.base.io.read import printable, read_file
 from r2h_batch.base.user_code import HOW, load_function
 from r2h_batch.methods.predictors.grid import ContactPredictor
 from r2h_batch.methods.predictors.voxnet import MAX_BYTES as MAX_VOXNET_BYTES
 from r2h_batch.methods.predictors.voxnet import voxnet_of
 
 MAX_BYTES = 4 << 30
-MAX_MEMBERS = 20_000
 _HOW = (
     "give an ONNX file (.onnx), VoxNet weights (.safetensors), or a function of your own code,"
     f" {HOW}"
 )
-_TRUST = (
-    "a TorchScript file is a program, which can write any file; export the network as ONNX"
-    " (torch.onnx.export), or, if you trust its source, add --trust-code (Python: trust_code=True)"
-)
 
 
-def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
+def load_predictor(spec: str) -> ContactPredictor:
     """The contact predictor that a file or a Python function holds.
 
     Files of networks are data: `.onnx` runs on the CPU through onnxruntime (extra `onnx`),
-    `.safetensors` holds weights of the built-in VoxNet. A TorchScript file is a program: it runs
-    with the rights of its user. Pickles (torch.save, .pkl) are refused.
+    `.safetensors` holds weights of the built-in VoxNet. Programs (TorchScript) and pickles (torch.save, .pkl)
+    are refused.
 
     Args:
         spec: the file, or `package.module:function`, or `FILE.py:function`. What a predictor takes and returns:
             `r2h_batch.methods.predictors.grid`.
-        trust_code: whether a TorchScript file may be loaded.
 
     Raises:
         FileError: the file or the function cannot be used.
@@ -55,7 +47,9 @@ def load_predictor(spec: str, *, trust_code: bool = False) -> ContactPredictor:
         data = read_file(path, MAX_VOXNET_BYTES if of_voxnet else MAX_BYTES)
         if path.suffix == ".onnx":
             return _OnnxNetwork(path, data)
-    return voxnet_of(path, data) if of_voxnet else _script(path, data, trust_code)
+    if of_voxnet:
+        return voxnet_of(path, data)
+    raise _no_network(path, data)
 
 
 @contextmanager
@@ -78,26 +72,15 @@ class _OnnxNetwork:
             return self.network(grid)
 
 
-def _script(path: Path, data: bytes, trust_code: bool) -> ContactPredictor:
-    """A ScriptModule in evaluation mode on the CPU."""
-    where = f"predictor {printable(path)}"
-    if not zipfile.is_zipfile(io.BytesIO(data)):
-        pickled = data[:1] == b"\x80"
-        kind = "a pickle, which runs code when read" if pickled else "no network that is known here"
-        raise FileError(f"{where}: {kind}; {_HOW}")
-    with _of_predictor(), open_archive(path, MAX_BYTES) as archive:
-        members = archive_members(archive, path, count=MAX_MEMBERS, size=MAX_BYTES)
-    names = [m.filename for m in members]
-    if not any(n.endswith("constants.pkl") for n in names) or not any("/code/" in n for n in names):
-        kind = "a torch.save file (a pickle, which runs code when read)"
-        raise FileError(f"{where}: {kind}; {_HOW}")
-    if not trust_code:
-        raise FileError(f"{where}: {_TRUST}")
-    try:
-        return torch.jit.load(io.BytesIO(data), map_location="cpu").eval()
-    except (RuntimeError, ValueError) as error:
-        why = printable(str(error).strip().partition("\n")[0])[:200]
-        raise FileError(f"{where}: not a readable TorchScript file ({why}); {_HOW}") from error
+def _no_network(path: Path, data: bytes) -> FileError:
+    """What a file is that is neither ONNX nor weights, with what may be given."""
+    if zipfile.is_zipfile(io.BytesIO(data)):
+        kind = "a file of PyTorch, a program or a pickle, which runs code when read"
+        how = "r2h_batch 0.3 read TorchScript, this version does not; export the network as ONNX (torch.onnx.export)"
+        return FileError(f"predictor {printable(path)}: {kind}; {how}")
+    pickled = data[:1] == b"\x80"
+    kind = "a pickle, which runs code when read" if pickled else "no network that is known here"
+    return FileError(f"predictor {printable(path)}: {kind}; {_HOW}")
 
 
 def _function(spec: str) -> ContactPredictor:
