@@ -781,8 +781,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         f" {data['regions'][0]['instances']} shipped instances, {data['regions'][0]['n']} trials each, `--sim none`;"
         " receiving hands and what methods see follow the region.",
         region_lines(data),
-        "No data set was at hand that says where people take these things. `r2h-batch import objects --from hoh` reads one"
-        " ([your data](../your_data.md)); the declared regions were not compared with it.",
+        "No data set was at hand that says where people take these things; the declared regions were not compared with one.",
         "## How many instances",
         "SR is measured on C categories, of which S0 has 6 in 16 and S1 the others. Each has m instances, and an instance has as"
         " many trials as in Table I (14 in S0, 8 in S1). Splits count the same, as in Table I. Half of the 95 %"

@@ -114,8 +114,6 @@ T_GRIPS = (
     "::test_rates_of_weak_and_firm_grips_and_of_stiff_arms_stand_in_their_own_columns"
 )
 T_TURN_SEED = "tests/sweep/test_turn.py::test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too"
-HOH, T_HOH = "r2h_batch/data/hoh_objects.py", "tests/data/test_hoh_objects.py"
-T_REGION = f"{T_HOH}::test_the_region_is_where_most_receivers_took_hold"
 CAPACITY, T_CAPACITY = "r2h_batch/trials/holding/capacity.py", "tests/trials/holding/test_capacity.py"
 T_LEAST_GRIP = (
     f"{T_CAPACITY}"
@@ -1773,41 +1771,6 @@ MUTATIONS = (
         'prepare(in_frame(own, word), plan',
         'prepare(own, plan',
         ("tests/sweep/test_turn.py::test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays",),
-    ),
-    Mutation(
-        'HOH: a handover that is in both sources counts twice',
-        HOH,
-        'scenes.pop((path.stem, number), None)',
-        'scenes.get((path.stem, number), None)',
-        (f"{T_HOH}::test_a_handover_that_is_in_hoh_and_in_hoh_grasps_counts_once",),
-    ),
-    Mutation(
-        'HOH: the full mesh before the simplified one',
-        HOH,
-        'found.setdefault(path.stem.removesuffix(end), path)',
-        'found[path.stem.removesuffix(end)] = path',
-        (f"{T_HOH}::test_the_simplified_mesh_is_taken_where_there_is_a_full_one_too",),
-    ),
-    Mutation(
-        'HOH: what anybody took is in the region',
-        HOH,
-        'share > SHARE * share.max(initial=0.0)',
-        'share > 0.0',
-        (T_REGION,),
-    ),
-    Mutation(
-        'HOH: steps of the object in the other order',
-        HOH,
-        'T = _pose(steps.get(name), f"{printable(file)} {name}") @ T',
-        'T = T @ _pose(steps.get(name), f"{printable(file)} {name}")',
-        (T_REGION,),
-    ),
-    Mutation(
-        'HOH: hands in millimetres',
-        HOH,
-        'return MM * _moved(',
-        'return _moved(',
-        (T_REGION,),
     ),
     Mutation(
         'capacity: kept without the hand',

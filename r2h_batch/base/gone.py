@@ -6,6 +6,7 @@ Who looks up a name that is unknown asks here too, so that an old command line i
 _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
+    "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
     "sweep --trust-code": "export the network as ONNX (torch.onnx.export) and give --predictor FILE.onnx",
     **{
         f"--method contact,{option}": _SEES

@@ -2,7 +2,7 @@
 import ...`."""
 
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -238,7 +238,7 @@ def grasps(
 def objects(
     folder: Annotated[Path, tyro.conf.Positional],
     *,
-    source: Annotated[Literal["oakink", "hoh"], tyro.conf.arg(name="from", metavar="SOURCE")],
+    source: Annotated[Literal["oakink"], tyro.conf.arg(name="from", metavar="SOURCE")],
     out: Path,
     only: tuple[str, ...] = (),
     grasps: Path | None = None,
@@ -251,43 +251,31 @@ def objects(
 
     Args:
         folder: The data set as its owners give it: OakInk's with shape/metaV2 or image/obj;
-            OakBase's parts anywhere below it. HOH's with HOH_Objects/simplified or full, and its sessions
-            or the scenes of HOH-Grasps anywhere below it.
-        source: Data set: oakink or hoh.
+            OakBase's parts anywhere below it.
+        source: Data set: oakink.
         out: A new or empty folder. It will hold the data set's meshes: mind their licence.
         only: Names or IDs of the objects to take; else all.
-        grasps: A folder of grasps in files called after the objects, in formats of `import grasps`; for hoh
-            also object_grasp_labels/graspnet of HOH-Grasps.
+        grasps: A folder of grasps in files called after the objects, in formats of `import grasps`.
         gripper: Gripper in whose frame the grasps are, if the files do not say it.
         hands: Also enter hand.npz and this many hands of each side of hands.npz into benchmark.yaml.
             `import hand` and `import hands` write these files.
         strict: Refuse a data set with an object that cannot be read, instead of skipping it.
     """
-    from r2h_batch.data import hoh_objects
     from r2h_batch.data.oakink_objects import OakObject, collect, write
 
     check_output_folder(out, overwrite=None)
-    of_hoh = hoh_objects.collect(folder, only) if source == "hoh" else None
-    found, left_out = [], [] if of_hoh is None else of_hoh.skipped
-    if of_hoh is not None:
-        found = of_hoh.objects
-    else:
-        for name, made in collect(folder, only):
-            if isinstance(made, OakObject):
-                found.append(made)
-            else:
-                left_out.append((name, str(made)))
-    skipped = len(left_out)
-    for name, why in left_out:
+    found, skipped = [], 0
+    for name, made in collect(folder, only):
+        if isinstance(made, OakObject):
+            found.append(made)
+            continue
         if strict:
-            raise FileError(f"{printable(name)}: {why}")
-        LOG.info(f"skipped: {name}: {why}")
+            raise FileError(f"{printable(name)}: {made}")
+        skipped += 1
+        LOG.info(f"skipped: {name}: {made}")
     if not found:
         raise FileError(f"{printable(folder)}: none of {skipped} objects could be read")
-    labels = hoh_objects.grasp_files(grasps) if of_hoh is not None and grasps is not None else {}
-    write(out, found, _grasp_files(grasps, [o.name for o in found], gripper, labels), hands)
-    if of_hoh is not None:
-        hoh_objects.write_more(out, of_hoh)
+    write(out, found, _grasp_files(grasps, [o.name for o in found], gripper), hands)
     held = sum(bool(o.held) for o in found)
     print(
         f"{counted(len(found), 'objects')} of {source} ({held} with a receiver's region) in {out}; {skipped} skipped"
@@ -353,15 +341,14 @@ def results(
 
 
 def _grasp_files(
-    folder: Path | None, names: Sequence[str], gripper: str | None, labels: Mapping[str, Path]
+    folder: Path | None, names: Sequence[str], gripper: str | None
 ) -> "dict[str, GraspSet]":
-    """The grasps of each of these objects that has a file; `labels`: files of objects with other names."""
+    """The grasps of each of these objects."""
     from r2h_batch.data.grasp_files import FRAMELESS, GRASP_FILES, grasps_from
 
     if folder is None:
         return {}
     known = {p.stem: p for p in sorted(folder.glob("*")) if p.suffix in (*GRASP_FILES, *FRAMELESS)}
-    known |= labels
     if missing := [n for n in names if n not in known]:
         raise FileError(
             f"{printable(folder)}: no grasps of {printable(missing[0])}; files are called after objects"
