@@ -7,6 +7,7 @@ _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
+    "import region": "say the receiver's region as parts, a plane or a file of faces: FILE.obj:S1:REGION (docs/your_data.md)",
     "sweep --trust-code": "export the network as ONNX (torch.onnx.export) and give --predictor FILE.onnx",
     **{
         f"--method contact,{option}": _SEES

@@ -1,5 +1,5 @@
-"""`r2h-batch import ...`: `import robot`, which also solves for the robot and draws it, `import region`,
-and those of import_files.py."""
+"""`r2h-batch import ...`: `import robot`, which also solves for the robot and draws it, and those of
+import_files.py."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -298,29 +298,4 @@ def draw(imported: "Imported", file: Path) -> None:
     save_picture(file, np.concatenate(images, 1))
 
 
-def region(file: Path, /, *, out: Path = Path(), scale: float = 1.0) -> int:
-    """Propose the receiver's region of an object from the contact network: FILE.region.npy, and a picture to look at.
-
-    Args:
-        file: The mesh.
-        out: The folder for both files.
-        scale: Multiplies the coordinates (0.001 for millimetres).
-    """
-    from r2h_batch.scene.offscreen import RenderError
-    from r2h_batch.view.region_proposal import propose
-
-    stem = out / f"{file.stem}.region"
-    try:
-        _, share = propose(file, out, scale=scale)
-        print(
-            f"{file.name}: {stem}.png shows a region of {100 * share:.0f} % of the surface; check that people would take it there"
-        )
-    except RenderError as error:
-        print(f"{file.name}: no picture: {error}; look at the region before you take it")
-    print(
-        f"{file.name}: to take it: {file}:S1:{stem}.npy, or receiver: {stem.name}.npy in the object's .yaml"
-    )
-    return 0
-
-
-COMMANDS: dict[str, Command] = {**FILES, "robot": robot, "region": region}
+COMMANDS: dict[str, Command] = {**FILES, "robot": robot}

@@ -81,8 +81,7 @@ def receiver_region(
     """
     if receiver is None:
         raise ObjectMeshError(
-            f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces; r2h-batch import region FILE"
-            " proposes one and draws it"
+            f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces"
         )
     words = [w.strip() for w in receiver.split(",")] if isinstance(receiver, str) else []
     if words and all(w in names for w in words):  # parts, such as `handle,guard`
