@@ -13,7 +13,7 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -78,11 +78,6 @@ TRAININGS = {
     "two processes, --renew 3": ("--workers", "1", "--renew", "3"),
 }
 SAME_WEIGHTS = ("one process", "two processes")
-VIEWS: dict[str, Any] = {"shards": 20, "trials": 60, "pairs": 4, "believed": 64}
-VIEW_STEPS, VIEW_TRIALS, VIEW, VIEW_TOLD = 600, 40, "cell-v1", "cell-v1,region=told"
-"""Steps on what cameras saw; trials of a split; what is seen in them, and with the receiver's region told."""
-FROM_VIEWS = "Learned from views"
-SEEING = {"Learned": "learned", FROM_VIEWS: "learned,weights={}", "robust search": "robust"}
 LIMITS = {
     "learned": "Learned", "a pair": "any of its 384 pairs", "oracle": "oracle", "held": "a candidate holds",
     "denser": "a denser one holds",
@@ -93,7 +88,6 @@ GRASPS_OF = ("drawn for the instance", "drawn for the region")
 KINDS = ("a part", "all but a part", "one side of a plane")
 FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
 """Figures of this commit are of the weights that shipped before."""
-CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
 """Shipped rows whose objects receivers try to take; the first is compared with the second."""
@@ -356,17 +350,6 @@ def paired_over_categories(
     return {"points": 100 * over.value, "low": ends[0], "high": ends[1], "only first": first, "only second": second}
 
 
-def paired_on_trials(a: Sequence[bool], b: Sequence[bool]) -> dict[str, float]:
-    """Difference of two methods on the same trials, points, its 95 % interval for these objects, and how many trials only one
-    of them has."""
-    from r2h_batch.report.statistics.intervals import paired_score_interval
-
-    first, second = (sum(x and not y for x, y in zip(*own, strict=True)) for own in ((a, b), (b, a)))
-    low, high = paired_score_interval(first, second, len(a))
-    points = 100 * (first - second) / len(a)
-    return {"points": points, "low": 100 * low, "high": 100 * high, "only first": first, "only second": second}
-
-
 def generator(place: Path) -> dict[str, Any]:
     """The result of examples/train_generator.py as it is printed."""
     sys.path.insert(0, str(ROOT / "examples"))
@@ -594,58 +577,6 @@ class Bench:
                 print(name, fold, found[name][str(fold)], flush=True)
         return {"recipes": found}
 
-    def views(self) -> dict[str, Any]:
-        """The rankers and the robust search on what two posts see."""
-        return {"views": self.seeing("views", VIEW)}
-
-    def views_told(self) -> dict[str, Any]:
-        """Rankers and robust search where the seen points of the receiver's region are told."""
-        return {"views-told": self.seeing("views-told", VIEW_TOLD)}
-
-    def seeing(self, folder: str, sees: str) -> dict[str, Any]:
-        """The shipped ranker, what it becomes on what cameras saw of new instances, and the robust search, all with one sight.
-
-        Rows have SR of each split with its 95 % interval, and first failures of both. `paired`: Learned from views less each
-        other one on the same trials.
-        """
-        from r2h_batch.learning.observe_command import export
-        from r2h_batch.learning.rank import CHECKPOINT, LESSONS, SHIPPED, Recipe, train_on_views
-        from r2h_batch.report.table import table_of
-        from r2h_batch.runs.store import load_run
-
-        options, place = self.options, self.options.runs / folder
-        sizes = VIEWS | {"shards": options.view_shards}
-        start = time.process_time()
-        export(out=place / "shards", sees=sees, **sizes)
-        exported = time.process_time() - start
-        weights = train_on_views(place / "shards", Recipe(start=SHIPPED, steps=VIEW_STEPS), place / "rank")
-        spent = torch.load(place / "rank" / CHECKPOINT, weights_only=True)["spent"]
-        lessons = torch.load(place / "rank" / LESSONS.format(0), weights_only=True)["truth"]
-        found: dict[str, Any] = {
-            "spent": spent | {"export": exported}, "pairs": lessons[..., 0].numel(), "rows": {},
-            "trained trials": sizes["shards"] * sizes["trials"], "trials": options.view_trials,
-        }  # fmt: skip
-        won: dict[str, list[bool]] = {}
-        for name, text in SEEING.items():
-            words = (
-                *("--method", text.format(weights.absolute()), "--sees", sees, "--sim", "none"),
-                *("--trials", options.view_trials, "--threads", 1, "--quiet"),
-            )
-            run = load_run(swept(place / name.replace(" ", "-"), *words))
-            (title,) = run.methods
-            outcome = run.trials(title)["outcome"].to_pylist()
-            won[name], outcomes = [o == "success" for o in outcome], Counter(outcome)
-            told: dict[str, Any] = {"failed": {c: outcomes[c] for c in CAUSES}}
-            for line in table_of(run).rows:
-                if line.split != "Avg":
-                    sr = line.rates["sr"]
-                    assert sr is not None
-                    told[line.split] = [sr.percent, sr.low, sr.high]
-            found["rows"][name] = told
-            print(name, told, flush=True)
-        found["paired"] = {name: paired_on_trials(won[FROM_VIEWS], won[name]) for name in SEEING if name != FROM_VIEWS}
-        return found
-
     def costs(self) -> dict[str, Any]:
         """Labels a second, a step's profile, workers."""
         return {
@@ -684,7 +615,7 @@ class Bench:
 
 
 PARTS = (
-    *("seeds", "variants", "folds", "scans", "regions", "recipes", "views", "views-told", "costs"),
+    *("seeds", "variants", "folds", "scans", "regions", "recipes", "costs"),
     *("turned", "received", "generator", "policy", "memory", "drawing"),
 )
 
@@ -696,7 +627,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
     commits = found.get("commits", {name: found.get("commit") for name in PARTS})
     for name in options.parts:
-        told = getattr(bench, name.replace("-", "_"))()
+        told = getattr(bench, name)()
         found |= told
         commits |= {name: made["commit"]} if told else {}
         print(name, "measured", flush=True)
@@ -719,7 +650,7 @@ SR in percent; first failures as Plan / Reach / Affordance / Safe.
   these are ranked too.
 - Blind: the receiver's region is not told; the same weights.
 {left_out}{scans}
-{received}{regions}{recipes}{views}{told}{generator}{policy}{drawing}## What it costs
+{received}{regions}{recipes}{generator}{policy}{drawing}## What it costs
 
 - Training, CPU seconds without the drawing of instances: {seconds}.
 - A trial takes {ms:.1f} CPU ms.
@@ -770,30 +701,6 @@ folder. An item is 256 trials.
 {recipes}
 
 """
-VIEWS_WORDS = """## On what cameras see
-
-`train rank --views --start shipped` learned from {pairs:,} pairs on solids that two posts' images showed. The pairs are of
-{trials:,} trials with new instances. Looking and judging took {export:.0f} CPU s, and learning {train:.0f}. SR in percent of {of}
-trials a split of r2h-v2 with `--sees cell-v1`, with 95 % intervals of these trials. First failures of both splits as Stability /
-Plan / Reach / Affordance / Safe.
-
-{table}
-
-No method was told the region here, so in S1 each of them fails Affordance in many trials.
-
-"""
-VIEWS_TOLD = """With `--sees cell-v1,region=told` methods are told which of the seen points are of the receiver's region. A
-part labeller with misplaced borders gives these labels ([what is seen](../observe.md)). `Learned from views` learned anew from
-such views: {pairs:,} pairs of {trained:,} trials. The table has {of} trials a split.
-
-{table}
-
-{differences}
-
-"""
-VIEWS_LESS = """- {first} less {second}, both splits: {points:+.1f} points [{low:+.1f}, {high:+.1f}] (95 % interval for these
-  objects). Only the first succeeds in {only first} trials, only the second in {only second}. {answer}"""
-DECIDED = {1: "The first is better.", -1: "The second is better.", 0: "Which is better is not decided."}
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
@@ -971,40 +878,6 @@ def recipes_words(found: Mapping[str, Any]) -> str:
     )  # fmt: skip
 
 
-def views_table(own: Mapping[str, Any]) -> str:
-    """SR of the splits and first failures of rankers that see."""
-    rows = []
-    for name, told in own["rows"].items():
-        sr = ["{:.1f} ({:.1f}-{:.1f})".format(*told[s]) for s in ("S0", "S1")]
-        rows.append([name, *sr, "/".join(str(x) for x in told["failed"].values())])
-    return markdown_table(["", "S0", "S1", "first failures"], rows)
-
-
-def trained_trials(own: Mapping[str, Any]) -> int:
-    """Seen trials that a ranker learned from; earlier measurements do not store the default number."""
-    return int(own.get("trained trials", VIEWS["shards"] * VIEWS["trials"]))
-
-
-def views_words(own: Mapping[str, Any]) -> str:
-    """The section on rankers that see."""
-    return VIEWS_WORDS.format(
-        pairs=own["pairs"], trials=trained_trials(own), export=own["spent"]["export"],
-        train=own["spent"]["labels"] + own["spent"]["train"], of=own.get("trials", VIEW_TRIALS), table=views_table(own),
-    )  # fmt: skip
-
-
-def views_told_words(own: Mapping[str, Any]) -> str:
-    """The table and words of rankers that see with the region told."""
-    lines = []
-    for name, less in own["paired"].items():
-        better = 1 if less["low"] > 0 else -1 if less["high"] < 0 else 0
-        lines.append(VIEWS_LESS.format(first=FROM_VIEWS, second=name, answer=DECIDED[better], **less))
-    return VIEWS_TOLD.format(
-        pairs=own["pairs"], trained=trained_trials(own), of=own.get("trials", VIEW_TRIALS), table=views_table(own),
-        differences="\n".join(lines),
-    )  # fmt: skip
-
-
 def drawing_words(own: Mapping[str, Any], cores: int) -> str:
     """The section on trainings from an empty cache."""
     from r2h_batch.protocols.family_objects import planned_objects
@@ -1070,8 +943,6 @@ def markdown(data: Mapping[str, Any]) -> str:
         received=received_words(data["received"]) if "received" in data else "",
         regions=regions_words(data["regions"]) if "regions" in data else "",
         recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
-        views=views_words(data["views"]) if "views" in data else "",
-        told=views_told_words(data["views-told"]) if "views-told" in data else "",
         generator=generator_words(data["generator"]) if "generator" in data else "",
         drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
         policy=policy_words(data["policy"]) if "policy" in data else "",
@@ -1092,13 +963,6 @@ def main() -> None:
     parser.add_argument("--trials", type=int, default=500, help="of each split")
     parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
     parser.add_argument("--received", type=int, default=500, help="of each split, whose objects receivers try to take")
-    parser.add_argument("--view-trials", type=int, default=VIEW_TRIALS, help="of each split, of methods that see")
-    parser.add_argument(
-        "--view-shards",
-        type=int,
-        default=VIEWS["shards"],
-        help="shards of 60 trials that a ranker that sees learns from",
-    )
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
     parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
     parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")

@@ -5,7 +5,6 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Any, Literal
 
-from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_folder
 
@@ -23,7 +22,6 @@ def rank(
     rounds: int = 3,
     mined_items: int = 4,
     mined_steps: int = 300,
-    views: Path | None = None,
     start: str = "",
     renew: int = 0,
     workers: int | None = None,
@@ -46,8 +44,6 @@ def rank(
         rounds: rounds of pairs that the network likes best, judged.
         mined_items: items of each round.
         mined_steps: steps after each round.
-        views: learn for methods that see, from this folder of observe export --believed; without benchmark, families and mined
-            pairs, an item is a shard.
         start: weights to begin with, rank.safetensors of another training, or shipped.
         renew: items after which the next instance of each category takes the place of the one before; training begins with
             the first ones while others are drawn. 0: it begins when all are drawn.
@@ -55,22 +51,13 @@ def rank(
         log: write the loss to TensorBoard, Weights & Biases, MLflow or Trackio too.
     """
     from r2h_batch.base.loggers import Logger
-    from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_on_views, train_ranker
+    from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_ranker
     from r2h_batch.protocols.load import load_benchmark
 
     recipe = Recipe(
         families=families, leave_out=leave_out, regions=regions, seed=seed, items=items, steps=steps, rounds=rounds,
         mined_items=mined_items, mined_steps=mined_steps, start=start, renew=renew,
     )  # fmt: skip
-    if views is not None:
-        own = Recipe(seed=seed, steps=steps, start=start)
-        given = [k for k, v in vars(recipe).items() if v != getattr(own, k)]
-        given += [k for k, v in (("benchmark", benchmark), ("workers", workers is not None)) if v]
-        if given:
-            flag = given[0].replace("_", "-")
-            raise UsageError(
-                f"--{flag} does not go with --views, whose shards hold instances and pairs; leave it out"
-            )
     if not (out / CHECKPOINT).is_file():
         check_output_folder(out, overwrite=None)
         out.mkdir(parents=True, exist_ok=True)  # before minutes of work, not after
@@ -78,11 +65,8 @@ def rank(
         numbers: Callable[[Mapping[str, float], int], Any] = (
             logger.log if logger else lambda numbers, step: None
         )
-        if views is not None:
-            path = train_on_views(views, recipe, out, tell=LOG.info, log=numbers)
-        else:
-            found = load_benchmark(benchmark) if benchmark else load_benchmark()
-            path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers, workers=workers)
+        found = load_benchmark(benchmark) if benchmark else load_benchmark()
+        path = train_ranker(found, recipe, out, tell=LOG.info, log=numbers, workers=workers)
     print(path)
     return 0
 

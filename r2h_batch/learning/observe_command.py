@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from r2h_batch.base.command_line import check_range
-from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 
 MOST_TRIALS = 1000
@@ -20,7 +19,6 @@ def export(
     families: str = "* x 5 seed 5",
     benchmark: str = "",
     sees: str = "cell-v1",
-    believed: int = 0,
     seed: int = 0,
 ) -> int:
     """Write what depth cameras see of trials with new instances, with labelled grasps and handover poses, as HDF5.
@@ -37,8 +35,6 @@ def export(
         families: instances to look at, as behind --objects families:.
         benchmark: its people, robot and limits; a name of ls benchmarks or your benchmark.yaml. Its objects are refused.
         sees: cameras and errors, as in sweep.
-        believed: further pairs of a trial, of grasps on the solid that the images show, for train rank --views; a multiple of
-            4. A second of a core for each trial.
         seed: of trials and pairs.
     """
     for flag, value, low, high in (
@@ -46,13 +42,8 @@ def export(
         ("--first-shard", first_shard, 0, 10**6),
         ("--trials", trials, 1, MOST_TRIALS),
         ("--pairs", pairs, 1, 1000),
-        ("--believed", believed, 0, 1000),
     ):
         check_range(flag, value, low, high)
-    from r2h_batch.learning.believed_pairs import POSES
-
-    if believed % POSES:
-        raise UsageError(f"--believed is {believed}; it must be a multiple of {POSES}")
     from r2h_batch.learning.pairs import stream
     from r2h_batch.learning.views import write_views
     from r2h_batch.observe.sees import Sees
@@ -62,7 +53,7 @@ def export(
     found = load_benchmark(benchmark) if benchmark else load_benchmark()
     own = stream(found, families, pairs=pairs, trials=trials, seed=seed)
     numbers = range(first_shard, first_shard + shards)
-    for file in write_views(own, shown, out, shards=numbers, tell=LOG.info, believed=believed):
+    for file in write_views(own, shown, out, shards=numbers, tell=LOG.info):
         print(file)
     return 0
 

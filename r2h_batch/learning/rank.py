@@ -6,7 +6,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +21,6 @@ from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.base.validate import integer, sequence_of
 from r2h_batch.learning.mining import mine
 from r2h_batch.learning.pairs import Pairs, stream
-from r2h_batch.learning.seen_views import Views
 from r2h_batch.methods.learned import trained_on as trained_on_of
 from r2h_batch.methods.learned import weights_file
 from r2h_batch.methods.ranker import features
@@ -222,14 +221,12 @@ def _counted(
 class Training:
     """A network and its optimiser on the way through a recipe; the same bits whether it was interrupted or not."""
 
-    def __init__(
-        self, recipe: Recipe, pairs: Pairs | Views, out: Path, tell: Told, log: Logged
-    ) -> None:
+    def __init__(self, recipe: Recipe, pairs: Pairs, out: Path, tell: Told, log: Logged) -> None:
         """Begins, or goes on where `out` has a checkpoint.
 
         Args:
             recipe: what to do.
-            pairs: the stream; or shards of views, of which no pairs are mined.
+            pairs: the stream.
             out: folder of the checkpoint.
             tell: prints a line.
             log: takes numbers at a step.
@@ -307,7 +304,6 @@ class Training:
                     items = (self.pairs.item(i) for i in stage.items)
                     found = Lessons.of(_counted(items, told), POSES)
                 else:
-                    assert isinstance(self.pairs, Pairs)  # the recipe of views has no rounds
                     mined = mine(
                         self.pairs, scored_by(self.net.eval()), first=192, second=96, first_item=stage.items.start,
                         items=len(stage.items),
@@ -387,69 +383,39 @@ def begun(start: str) -> Ranker:
     return net
 
 
-def plain(recipe: Recipe, pairs: Pairs | Views) -> dict[str, Any]:
-    """A recipe, its benchmark or views and the criteria of its labels as JSON.
+def plain(recipe: Recipe, pairs: Pairs) -> dict[str, Any]:
+    """A recipe, its benchmark and the criteria of its labels as JSON.
 
     Args:
         recipe: any.
-        pairs: its stream or shards.
+        pairs: its stream.
     """
-    source = pairs.identity if isinstance(pairs, Views) else {"benchmark": pairs.benchmark.digest}
     told = {k: v for k, v in asdict(recipe).items() if k != "renew" or v}
     return {
         **told,
         "leave_out": list(recipe.leave_out),
-        **source,
+        "benchmark": pairs.benchmark.digest,
         "criteria": list(CRITERIA),
     }
 
 
-def train_on_views(
-    folder: Path,
-    recipe: Recipe,
-    out: Path,
-    *,
-    tell: Told = print,
-    log: Logged = lambda numbers, step: None,
-) -> Path:
-    """Train a ranker for methods that see, on what cameras saw of new instances. No pairs are mined: nothing is judged.
-
-    Args:
-        folder: shards that `r2h-batch observe export --believed` wrote.
-        recipe: its seed, steps and start; an item is a shard, and there are no rounds.
-        out: folder of checkpoint, labels and weights.
-        tell: prints a line.
-        log: takes numbers at a step.
-
-    Returns:
-        The file of weights, which says what it was trained on.
-    """
-    views = Views(folder)
-    own = replace(recipe, families="", regions=0, rounds=0, items=len(views.files))
-    return _trained(
-        own, views, out, tell, log, {"benchmark": views.benchmark, "objects": views.names}
-    )
-
-
 def _trained(
     recipe: Recipe,
-    pairs: Pairs | Views,
+    pairs: Pairs,
     out: Path,
     tell: Told,
     log: Logged,
     learned_from: dict[str, Any],
-    begin: tuple[float, float] | None = None,
+    begin: tuple[float, float],
 ) -> Path:
     """The file of weights; `begin`: CPU time, of this process and of those before, when the drawing of instances began."""
     training = Training(recipe, pairs, out, tell, log)
-    if begin is not None:
-        drawn = time.process_time() - begin[0]
-        training.spent["instances"] = training.spent.get("instances", 0.0) + drawn
+    drawn = time.process_time() - begin[0]
+    training.spent["instances"] = training.spent.get("instances", 0.0) + drawn
     net = training.run()
-    if begin is not None and isinstance(pairs, Pairs):
-        pairs.close()
-        training.spent["instances"] += _cpu_of_others() - begin[1]
-        training.keep()
+    pairs.close()
+    training.spent["instances"] += _cpu_of_others() - begin[1]
+    training.keep()
     seconds = {k: round(v, 1) for k, v in training.spent.items()}
     path = out / WEIGHTS
     if recipe.start:

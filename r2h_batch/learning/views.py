@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -16,17 +15,13 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path, write_text
 from r2h_batch.base.package import VERSION
-from r2h_batch.learning.believed_pairs import believed_pairs
 from r2h_batch.learning.pairs import Pairs
 from r2h_batch.methods import oracle
-from r2h_batch.observe.seen import LABELS, Images, Receiver
+from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.sees import Sees
+from r2h_batch.observe.shards import CLOUD, DEPTH_STEP_M, FORMAT, seen_arrays, write_shard
 from r2h_batch.verdicts import CRITERIA
 
-FORMAT = "r2h-observe-1"
-DEPTH_STEP_M = 0.0001
-"""Stored depths are multiples of it: that of cell-v1's sensor."""
-CLOUD = 2048
 ORACLE_ROUNDS = 16
 """Proposals that the search for a good handover has for a trial: it finds one for nearly all."""
 
@@ -51,14 +46,12 @@ and handover pose.
 | `pairs/success`, `labels`, `margin` | (N, K), (N, K, 5) | verdicts of the pose stage ({criteria}; NaN: not evaluated) |
 | `oracle/...` | as `pairs` with K = 1 | the best of {rounds} proposals that know the truth |
 | `truth/...` | | trial, object, where object and hand are: for analysis, not for a method's input |
-{believed}
+
 Verdicts are those of the true object and hand. Frames are `T_a_b`, axes as in the documentation (docs/observe.md).
 """
 
 
 TOLD = """| `object/region`, `cloud/region` | as `object/label`, `cloud/mask` | in the receiver's region, for a part labeller |
-"""
-BELIEVED = """| `believed/...` | M of the N (`row`) | {believed} more pairs, with grasps on the solid that is seen |
 """
 
 
@@ -69,7 +62,6 @@ def write_views(
     *,
     shards: range,
     tell: Callable[[str], None],
-    believed: int = 0,
 ) -> list[Path]:
     """Write shards of a stream's items; those that are there already stay.
 
@@ -79,7 +71,6 @@ def write_views(
         out: folder.
         shards: numbers of the items.
         tell: gets a line for each shard.
-        believed: pairs of each trial in the world that built-in methods believe (`believed_pairs`); 0: none.
 
     Returns:
         The files.
@@ -90,7 +81,7 @@ def write_views(
     if find_spec("h5py") is None:
         raise UsageError("observe export writes HDF5 with h5py: pip install 'r2h_batch[import]'")
     out.mkdir(parents=True, exist_ok=True)
-    card = _card(pairs, sees, believed)
+    card = _card(pairs, sees)
     place = out / "README.md"
     if not place.exists():
         write_text(place, card)
@@ -104,14 +95,14 @@ def write_views(
             tell(f"{file.name}: there already")
             continue
         with atomic_path(file) as temporary, progress(file.name, 1, "shard"):
-            _write(temporary, dict(_arrays(pairs, sees, index, believed)), _made_with(pairs, sees))
+            write_shard(temporary, _arrays(pairs, sees, index), _made_with(pairs, sees))
         tell(
             f"{file.name}: {pairs.trials} trials, {file.stat().st_size / pairs.trials / 1e3:.0f} kB each"
         )
     return files
 
 
-def _card(pairs: Pairs, sees: Sees, believed: int) -> str:
+def _card(pairs: Pairs, sees: Sees) -> str:
     names = sorted({o.name for o in pairs.objects})
     few = ", ".join(names[:3])
     return CARD.format(
@@ -120,28 +111,16 @@ def _card(pairs: Pairs, sees: Sees, believed: int) -> str:
         families=f"{few} and others" if len(names) > 3 else few, sees=json.dumps(sees.identity, sort_keys=True),
         step=DEPTH_STEP_M, labels=", ".join(LABELS), cloud=CLOUD, criteria=", ".join(CRITERIA), rounds=ORACLE_ROUNDS,
         told=TOLD if sees.region == "told" else "",
-        believed=BELIEVED.format(believed=believed) if believed else "",
     )  # fmt: skip
 
 
-def _arrays(
-    pairs: Pairs, sees: Sees, index: int, believed: int
-) -> Iterator[tuple[str, NDArray[Any]]]:
+def _arrays(pairs: Pairs, sees: Sees, index: int) -> Iterator[tuple[str, NDArray[Any]]]:
     """The datasets of an item by path."""
     item, scene = pairs.item(index), pairs.evaluator.scene
     trials = pairs.benchmark.trials_with_ids(item["trial_id"])
     seen, T_world_obj = sees.look(scene, trials)
     T = T_world_obj.double()
-    for name, images in (("object", seen.object), ("hand", seen.hand)):
-        yield from _images(name, images)
-    yield "T_world_camera", seen.T_world_camera.numpy()
-    yield from _receiver(seen.receiver)
-    points, mask = seen.cloud(CLOUD)
-    yield "cloud/points", points.numpy()
-    yield "cloud/mask", mask.numpy()
-    if seen.region is not None:
-        yield "object/region", seen.region.numpy()
-        yield "cloud/region", seen.cloud_region(CLOUD).numpy()
+    yield from seen_arrays(seen)
 
     def grasps(T_obj_ee: Tensor) -> NDArray[Any]:
         found: Tensor = se3.matmul(T[:, None].expand_as(T_obj_ee), T_obj_ee.double()).float()
@@ -157,27 +136,11 @@ def _arrays(
     yield "oracle/T_world_grasp", grasps(best.T_obj_ee[:, None])
     yield "oracle/T_world_ee", best.T_world_ee[:, None].numpy()
     yield "oracle/success", scores.success[:, None].numpy()
-    if believed:
-        told = believed_pairs(pairs, sees, seen, trials, T_world_obj, count=believed)
-        for name, value in told.items():
-            yield f"believed/{name}", value.numpy()
     yield "truth/trial_id", trials.trial_id.numpy()
     names = [scene.objects[i].name for i in trials.object_index.tolist()]
     yield "truth/object", np.array(names, dtype="S")
     yield "truth/T_world_obj", T_world_obj.numpy()
     yield "truth/T_world_hand", trials.T_world_hand.numpy()
-
-
-def _images(name: str, images: Images) -> Iterator[tuple[str, NDArray[Any]]]:
-    steps = torch.round(images.depth_m.double() / DEPTH_STEP_M)
-    yield f"{name}/depth", steps.numpy().astype(np.uint16)
-    yield f"{name}/label", images.label.numpy()
-    yield f"{name}/K", images.K.numpy()
-
-
-def _receiver(receiver: Receiver) -> Iterator[tuple[str, NDArray[Any]]]:
-    for name, value in vars(receiver).items():
-        yield f"receiver/{name}", value.numpy()
 
 
 def _made_with(pairs: Pairs, sees: Sees) -> dict[str, str]:
@@ -186,18 +149,3 @@ def _made_with(pairs: Pairs, sees: Sees) -> dict[str, str]:
         "benchmark": pairs.benchmark.name, "benchmark_digest": pairs.benchmark.digest,
         "sees": json.dumps(sees.identity, sort_keys=True),
     }  # fmt: skip
-
-
-def _write(path: Path, arrays: dict[str, NDArray[Any]], made_with: dict[str, str]) -> None:
-    import h5py
-
-    with h5py.File(path, "w") as file:
-        file.attrs.update(
-            format=FORMAT, version=VERSION, depth_step_m=DEPTH_STEP_M, labels=list(LABELS), criteria=list(CRITERIA),
-            **made_with,
-        )  # fmt: skip
-        for name, array in arrays.items():
-            packed: dict[str, Any] = {}
-            if array.nbytes > 4096 * len(array):  # images and clouds: a trial is a chunk
-                packed = {"chunks": (1, *array.shape[1:]), "compression": "gzip", "shuffle": True}
-            file.create_dataset(name, data=array, track_times=False, **packed)

@@ -15,7 +15,8 @@ from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.learning.pairs import Pairs
-from r2h_batch.learning.rank import CHECKPOINT, WEIGHTS, Recipe, Training, train_ranker
+from r2h_batch.learning.rank import CHECKPOINT, SHIPPED, WEIGHTS, Recipe, Training, begun, train_ranker
+from r2h_batch.methods.learned import trained_on
 from r2h_batch.methods.ranker import features
 from r2h_batch.methods.ranker.network import MAX_BYTES, Ranker, about_weights, read_weights, save_weights
 from r2h_batch.methods.ranker.observe import observe
@@ -112,11 +113,25 @@ def test_the_command_trains_leaves_out_and_says_what_is_wrong(tmp_path, capsys):
             (["--out", str(tmp_path / "c"), "--leave-out", "cups"], "leave_out has 'cups'"),
             (["--out", str(tmp_path / "c"), "--steps", "0"], "steps"),
             (["--out", str(tmp_path / "a")], "is of another recipe"),
+            (
+                ["--out", str(tmp_path / "c"), "--start", "shippd"],
+                "shippd: no such file; give rank.safetensors of another",
+            ),
         ]
     ):
         assert main([*words, *more]) == 2
         error = capsys.readouterr().err.strip().splitlines()[-1]
         assert said in error
+
+
+def test_a_training_begins_with_given_weights_and_names_what_they_were_trained_on(tmp_path):
+    short = replace(SMALL, families="cup x 1 seed 91", rounds=0, steps=3, start=SHIPPED)
+    path = train_ranker(load_benchmark(), short, tmp_path, tell=lambda s: None)
+    net, before = read_weights(path), begun(SHIPPED)
+    assert torch.equal(net.mean, before.mean) and torch.equal(net.std, before.std)
+    moved = [float((a - b).detach().abs().max()) for a, b in zip(net.parameters(), before.parameters(), strict=True)]
+    assert 0 < max(moved) < 0.1
+    assert trained_on(str(path)) == [*trained_on(), "cup_s1091_00"]
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(monkeypatch, capsys):

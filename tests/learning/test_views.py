@@ -1,7 +1,5 @@
 """Shards of views in HDF5 (`r2h-batch observe export`), read back by plain h5py."""
 
-import shutil
-
 import numpy as np
 import pytest
 import torch
@@ -10,10 +8,6 @@ from rounds import each
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.learning.pairs import stream
-from r2h_batch.learning.rank import SHIPPED, WEIGHTS, Recipe, begun, train_on_views
-from r2h_batch.learning.seen_views import Views
-from r2h_batch.methods.learned import trained_on
-from r2h_batch.methods.ranker.network import about_weights, read_weights
 from r2h_batch.observe.sees import Sees
 
 h5py = pytest.importorskip("h5py")
@@ -57,10 +51,8 @@ def test_a_shard_holds_what_the_cameras_saw_and_the_labels_of_the_stream(shards)
 def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, tmp_path):
     held = "hammer x 1 seed 91"
     line = ["observe", "export", "--out", str(tmp_path), "--trials", "6", "--pairs", "4", "--families", held]
-    assert main([*line, "--sees", "cell-v1,region=told", "--believed", "4"]) == 0
+    assert main([*line, "--sees", "cell-v1,region=told"]) == 0
     with h5py.File(tmp_path / "shard-000000.h5") as file, h5py.File(shards[0] / "shard-000000.h5") as other:
-        own = {k: torch.from_numpy(file[f"believed/{k}"][()]) for k in ("row", "T_world_obj", "cloud", "region")}
-        points, mask = (torch.from_numpy(file[f"cloud/{k}"][()]) for k in ("points", "mask"))
         told = {k: file[k][()] for k in ("object/region", "cloud/region")}
         assert "object/region" not in other and "cloud/region" not in other
         ids, label = file["truth/trial_id"][()], file["object/label"][()]
@@ -69,14 +61,6 @@ def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, t
     seen, _ = Sees.parse("cell-v1,region=told").look(pairs.evaluator.scene, trials)
     assert np.array_equal(told["object/region"], seen.region.numpy()) and told["object/region"].shape == label.shape
     assert 0 < told["cloud/region"].mean() < 1
-    for i in each(range(len(own["row"]))):  # what a ranker learns from has the region where its points were seen
-        T, row = own["T_world_obj"][i].double(), own["row"][i]
-        solid = own["cloud"][i].double() @ T[:3, :3].T + T[:3, 3]
-        close, nearest = torch.cdist(solid, points[row].double()[mask[row]]).min(1)
-        seen_part = torch.from_numpy(told["cloud/region"][row])[mask[row]][nearest].bool()
-        some = close < 0.004
-        assert some.sum() > 10 and 0 < own["region"][i].bool().sum() < len(solid)
-        assert (own["region"][i].bool() == seen_part)[some].float().mean() > 0.9, i
     assert np.array_equal(told["cloud/region"], seen.cloud_region(2048).numpy())
     assert "`cloud/region`" in (tmp_path / "README.md").read_text()
     assert "region`" not in (shards[0] / "README.md").read_text()
@@ -114,107 +98,3 @@ def test_what_cannot_be_exported_is_refused_in_one_line(shards, more, words, cap
     assert main([*shards[1], *more]) == 2
     error = capsys.readouterr().err
     assert words in error and error.strip().count("\n") == 0
-
-
-@pytest.fixture(scope="module")
-def believed(tmp_path_factory):
-    out = tmp_path_factory.mktemp("believed")
-    line = ["observe", "export", "--out", str(out), "--trials", "6", "--pairs", "4", "--families", FAMILIES]
-    assert main([*line, "--believed", "8"]) == 0
-    return out
-
-
-def test_pairs_of_believed_objects_lie_where_they_were_seen_and_have_the_verdicts_of_the_true_ones(believed):
-    with h5py.File(believed / "shard-000000.h5") as file:
-        x = {k: torch.from_numpy(file[f"believed/{k}"][()]) for k in file["believed"]}
-        true, ids = (torch.from_numpy(file[f"truth/{k}"][()]) for k in ("T_world_obj", "trial_id"))
-        points, mask = file["cloud/points"][()], file["cloud/mask"][()]
-    row = x["row"]
-    assert len(row) >= 5 and x["success"].shape == (len(row), 8) and not x["region"].any()
-    for i in each(range(len(row))):
-        T = x["T_world_obj"][i].double()
-        solid = x["cloud"][i].double() @ T[:3, :3].T + T[:3, 3]
-        seen = torch.from_numpy(points[row[i]][mask[row[i]]]).double()
-        assert torch.cdist(seen, solid).amin(1).median() < 0.012
-        assert torch.equal(x["candidates"][i][x["pick"][i]], x["T_obj_ee"][i])
-    pairs = stream(load_benchmark("r2h-v2"), FAMILIES, pairs=4, trials=6)
-    T_true = torch.linalg.inv(true[row].double()) @ x["T_world_obj"].double()
-    grasp = (T_true[:, None] @ x["T_obj_ee"].double()).float()
-    trials = pairs.benchmark.trials_with_ids(ids[row])
-    scores = pairs.evaluator.score(grasp, x["T_world_ee"], trials, stages="pose")
-    assert (scores.success.view(-1, 8) == x["success"]).float().mean() > 0.97  # poses are rounded otherwise here
-    assert 0 < int(x["success"].sum()) < x["success"].numel()
-    wrong = pairs.evaluator.score(x["T_obj_ee"], x["T_world_ee"], trials, stages="pose")
-    assert (wrong.success.view(-1, 8) == x["success"]).float().mean() < 0.9
-
-
-def test_a_ranker_learns_from_shards_and_begins_with_given_weights(believed, tmp_path):
-    recipe = Recipe(steps=3, start=SHIPPED, seed=4)
-    path = train_on_views(believed, recipe, tmp_path / "a", tell=lambda words: None)
-    again = train_on_views(believed, recipe, tmp_path / "b", tell=lambda words: None)
-    assert path.read_bytes() == again.read_bytes()
-    net, before = read_weights(path), begun(SHIPPED)
-    assert torch.equal(net.mean, before.mean) and torch.equal(net.std, before.std)
-    moved = [float((a - b).detach().abs().max()) for a, b in zip(net.parameters(), before.parameters(), strict=True)]
-    assert 0 < max(moved) < 0.1
-    about = about_weights(path)
-    assert len(about["views"]) == 64 and '"rig": "cell-v1"' in about["sees"] and about["rounds"] == 0
-    assert trained_on(str(path)) == [*trained_on(), "cup_s1091_00"]
-    line = ["train", "rank", "--views", str(believed), "--steps", "2", "--out", str(tmp_path / "c")]
-    assert main(line) == 0
-    alone = tmp_path / "c" / WEIGHTS
-    assert trained_on(str(alone)) == ["cup_s1091_00"] and not torch.equal(read_weights(alone).mean, before.mean)
-    item = Views(believed).item(0)
-    passed = item["success"].float().mean()
-    assert 0 < passed < 1 and item["labels"].shape == (*item["success"].shape, 5)
-
-
-@pytest.mark.parametrize(
-    ("more", "words"),
-    [
-        (("--views", "{empty}"), "holds no shard-NNNNNN.h5; write some with r2h-batch observe export --believed 64"),
-        (("--views", "{plain}"), "shard-000000.h5: has no believed/"),
-        (("--views", "{text}"), "shard-000000.h5: not a readable shard"),
-        (("--views", "{believed}", "--leave-out", "cup"), "--leave-out does not go with --views"),
-        (("--views", "{believed}", "--benchmark", "r2h-v2"), "--benchmark does not go with --views"),
-        (
-            ("--views", "{believed}", "--start", "shippd"),
-            "shippd: no such file; give rank.safetensors of another training, or shipped",
-        ),
-    ],
-)
-def test_what_a_ranker_cannot_learn_from_is_refused_in_one_line(shards, believed, tmp_path, more, words, capsys):
-    for name in ("empty", "text"):
-        (tmp_path / name).mkdir()
-    (tmp_path / "text" / "shard-000000.h5").write_text("no shard")
-    places = {"plain": shards[0], "believed": believed, "empty": tmp_path / "empty", "text": tmp_path / "text"}
-    capsys.readouterr()
-    assert main(["train", "rank", "--out", str(tmp_path / "x"), *(m.format(**places) for m in more)]) == 2
-    error = capsys.readouterr().err.strip().splitlines()
-    assert len(error) == 1 and words in error[0]
-
-
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("sees", "other", "shard-000001.h5: is of another benchmark or other cameras than shard-000000.h5"),
-        ("benchmark_digest", "0", "shard-000001.h5: is of another benchmark or other cameras than shard-000000.h5"),
-        ("format", "r2h-observe-0", "shard-000001.h5: is not of format r2h-observe-1"),
-        ("criteria", ["plan"], "shard-000001.h5: has other criteria than stability, plan"),
-    ],
-)
-def test_shards_that_do_not_belong_together_are_refused(believed, tmp_path, name, value, words):
-    for number in (0, 1):
-        shutil.copy(believed / "shard-000000.h5", tmp_path / f"shard-00000{number}.h5")
-    assert len(Views(tmp_path).files) == 2
-    with h5py.File(tmp_path / "shard-000001.h5", "r+") as file:
-        file.attrs[name] = value
-    with pytest.raises(ValueError, match=words) as error:
-        Views(tmp_path)
-    assert "\n" not in str(error.value)
-
-
-def test_pairs_of_believed_objects_come_in_fours(shards, tmp_path, capsys):
-    capsys.readouterr()
-    assert main([*shards[1][:2], "--out", str(tmp_path), "--believed", "6"]) == 2
-    assert "--believed is 6; it must be a multiple of 4" in capsys.readouterr().err
