@@ -50,7 +50,6 @@ docs: $(SETUP)  ## the documentation as a site, build/site/index.html: strict, w
 
 assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its scripts
 	$(BIN)/python -m r2h_batch.assets.robot.build_robot
-	$(BIN)/python -m r2h_batch.assets.robot.build_ik_seeds
 	$(BIN)/python -m r2h_batch.assets.hand.build_hand
 	$(BIN)/python -m r2h_batch.assets.hand.build_handset
 	$(BIN)/python -m r2h_batch.assets.objects.build_objects

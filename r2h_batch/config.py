@@ -121,7 +121,7 @@ class IkConfig(_Checked):
     """The solver of a pose's joint angles. The closed form proves which branches exist in both.
 
     Attributes:
-        solver: of joint angles: a Warp kernel, or the batched Jacobian of pytorch-kinematics, 300 times slower.
+        solver: of joint angles: the closed form, or the batched Jacobian of pytorch-kinematics, 300 times slower.
     """
 
     solver: Literal["fused", "pytorch-kinematics"] = "fused"

@@ -183,7 +183,7 @@ def solve_any(
     valid_out: wp.array2d(dtype=wp.bool), position_error_out: wp.array2d(dtype=wp.float32),
     rotation_error_out: wp.array2d(dtype=wp.float32),
     status_out: wp.array2d(dtype=wp.uint8),  # (B, 4), all alike
-    steps_out: wp.array2d(dtype=int),  # (B, 4): the first holds all, the second how many seeds were tried
+    steps_out: wp.array2d(dtype=int),  # (B, 2): all steps, and how many seeds were tried
     nearest_out: wp.array2d(dtype=float),  # (B, JOINTS) where nothing was found: the posture that came nearest
     residual_out: wp.array(dtype=float),  # and by how much it misses: metres + rotation_lever_m radians
 ):  # fmt: skip
@@ -197,7 +197,8 @@ def solve_any(
             q_out[trial, k, j] = wp.float32(wp.nan)
     for k in range(4):
         status_out[trial, k] = wp.uint8(STATUS_INACTIVE)
-        steps_out[trial, k] = 0
+    steps_out[trial, 0] = 0
+    steps_out[trial, 1] = 0
     for j in range(JOINTS):
         nearest_out[trial, j] = wp.float32(wp.nan)
     residual_out[trial] = wp.float32(wp.inf)

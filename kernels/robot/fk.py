@@ -1,8 +1,8 @@
-"""UR forward kinematics in the shoulder frame, where the Jacobian at the wrist centre is block triangular.
+"""UR forward kinematics in the shoulder frame.
 
 Shoulder frame: turned by q1 about the world's z axis; x along the arm's plane, n (its y) the plane's normal, z up.
-The state is six (cos, sin) pairs, so that iterations need no trigonometry: q1, then the links' absolute angles
-psi1 = q2, psi2 = q2 + q3, psi3 = q2 + q3 + q4, then q5, q6. With
+The state is six (cos, sin) pairs: q1, then the links' absolute angles psi1 = q2, psi2 = q2 + q3, psi3 = q2 + q3 + q4,
+then q5, q6. With
   u(psi) = (cos psi, 0, -sin psi)      direction of a link
   w(psi) = (-sin psi, 0, -cos psi)     axis of joint 5
 the wrist centre (where the axes of joints 5 and 6 meet) and the ee frame's axes are

@@ -22,9 +22,6 @@ from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
 
-ITERATIONS = 20
-"""Damped least squares steps per seed; the mean is 7."""
-
 ROTATION_LEVER_M = 0.1
 """How many metres a radian counts in the residual of an unreachable target [choice]: about the
 fingers' length."""
@@ -55,8 +52,6 @@ class IkResult:
     """Angle between the targets' and the reached ee axes; inf where there is no branch."""
     status: UInt8[Tensor, "b 4"]
     """Solver status of the branch pair 2 s + w: a STATUS_* code of kernels/ik/step.py."""
-    steps: Int[Tensor, "b 4"]
-    """Damped least squares steps spent on the pair, over all seeds tried."""
 
     @property
     def unproven(self) -> Bool[Tensor, "b"]:
@@ -83,17 +78,14 @@ class IkResult:
         home if on it)."""
         return (self.status == int(ik_step.STATUS_SINGULAR)).any(1)
 
-    @property
-    def rescued(self) -> Bool[Tensor, "b 4"]:
-        """Pairs of branches that exist but that no seed converged to: the closed form's own
-        solution stands in."""
-        return self.status == int(ik_step.STATUS_RESCUED)
-
 
 @dataclass(frozen=True)
 class SearchedIk(IkResult):
-    """IK of an arm without a closed form: also how near the search came where it found nothing."""
+    """IK of an arm without a closed form: also how long the search took, and how near it came where it
+    found nothing."""
 
+    steps: Int[Tensor, "b 2"]
+    """Steps of damped least squares, and how many seeds were tried."""
     nearest: Float[Tensor, "b j"]
     """The posture that came nearest, rad; NaN where one was found."""
     miss_m: Float[Tensor, "b"]
@@ -106,16 +98,13 @@ def solve_ik(
     active: Bool[Tensor, "b"] | None = None,
     robot: Robot | None = None,
     home: Sequence[float] | None = None,
-    seeds: Float[np.ndarray, "s 6"] | None = None,
-    iterations: int = ITERATIONS,
 ) -> IkResult:
     """All branches for every target, on the device of `T_world_ee`; a row depends on nothing but
     its own target.
 
     Rows with `active` False, NaN or no rigid transform have no valid branch and are not proven
-    unreachable. `seeds`: joint angles to start from, joint 1 relative to the wrist centre's azimuth
-    (default: the committed set). `robot`: default the UR5e, `home` its own unless given. One that is
-    not of a UR's structure is solved by judge/ik_any.py, whose seeds and steps are its own.
+    unreachable. `robot`: default the UR5e, `home` its own unless given. One that is not of a UR's
+    structure is solved by judge/ik_any.py.
     """
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
@@ -133,33 +122,21 @@ def solve_ik(
                 rotation_lever_m=ROTATION_LEVER_M,
             )
         )
-    start = ik_seeds() if seeds is None else np.asarray(seeds, dtype=np.float64)
-    _check(T_world_ee, active, robot, home, start, iterations)
+    _check(T_world_ee, active, robot, home)
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     made = over_trials(
         ik_step.solve_ik_kernel, len(T_world_ee), place, sizes=ik_any.sizes(6), chunk=CHUNK, width=4
     )(
         ur=ur_parameters(robot, home),
-        iterations=iterations,
         position_tolerance_m=POSITION_TOLERANCE_M,
         rotation_tolerance_rad=ROTATION_TOLERANCE_RAD,
-        seeds=_seed_states(place)
-        if seeds is None
-        else wp.array(_cos_sin(start), dtype=wp.float64, device=place),
         T_world_ee=T_world_ee.contiguous(),
         active=active.contiguous(),
     )
     return IkResult(*made.values())  # the kernel writes the fields in their order
 
 
-def _check(
-    T_world_ee: Tensor,
-    active: Tensor,
-    robot: Robot,
-    home: Sequence[float],
-    seeds: np.ndarray,
-    iterations: int,
-) -> None:
+def _check(T_world_ee: Tensor, active: Tensor, robot: Robot, home: Sequence[float]) -> None:
     """Raises ValueError for what `solve_ik` cannot be asked."""
     if T_world_ee.ndim != 3 or T_world_ee.shape[1:] != (4, 4) or T_world_ee.dtype != torch.float32:
         raise ValueError(
@@ -173,14 +150,6 @@ def _check(
     if not _within_limits(robot, tuple(home)):
         raise ValueError(
             f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits"
-        )
-    if iterations < 1:
-        raise ValueError(f"iterations is {iterations}; it must be 1 or more")
-    if seeds is not ik_seeds() and (
-        seeds.ndim != 2 or seeds.shape[1] != 6 or not np.isfinite(seeds).all()
-    ):
-        raise ValueError(
-            f"seeds have shape {seeds.shape}; they must be finite joint angles (S, 6) in rad"
         )
 
 
@@ -243,18 +212,12 @@ def _jacobian_tables(robot: Robot, home: tuple[float, ...], device: str) -> dict
     }
 
 
-@cache
-def _seed_states(device: str) -> wp.array:
-    """The committed seeds on a device, for the kernel."""
-    return wp.array(_cos_sin(ik_seeds()), dtype=wp.float64, device=device)
-
-
 def build_tables(robot: Robot, home: tuple[float, ...], device: str) -> None:
     """Makes the solvers' tables; they are on a CUDA device before this returns, as `Scene`'s own
     are."""
     home_posture(device, home)
     if robot.family == "ur":
-        _seed_states(device), _jacobian_tables(robot, home, device)
+        _jacobian_tables(robot, home, device)
     else:
         ik_any.tables(robot, device)
     wp.synchronize_device(device)
@@ -291,8 +254,8 @@ def nearest_turns(
 
 @cache
 def ik_seeds() -> np.ndarray:
-    """The committed seeds (S, 6) in rad, in the order they are tried (made by
-    assets/robot/build_ik_seeds.py)."""
+    """The committed seeds (S, 6) in rad, in the order they are tried; joint 1 is relative to the
+    wrist centre's azimuth."""
     with (files("r2h_batch.assets") / "robot" / "ik_seeds.npy").open("rb") as file:
         seeds: np.ndarray = np.load(file)
     seeds.setflags(write=False)
@@ -351,13 +314,3 @@ def _urdf_of(robot: Robot) -> tuple[str, str]:
     joints = [joint(k, "revolute", robot.T_parent_joint[k]) for k in range(n)]
     joints.append(joint(n, "fixed", robot.T_wrist3_ee))
     return f'<robot name="arm"><link name="l0"/>{"".join(joints)}</robot>', f"l{n + 1}"
-
-
-def _cos_sin(q: np.ndarray) -> np.ndarray:
-    """The kernels' state (S, 12) of joint angles: (cos, sin) of q1, q2, q2 + q3, q2 + q3 + q4, q5,
-    q6."""
-    # Joints 2 to 4 are parallel: with their sums in the state the arm's plane needs no product of
-    # angles
-    psi2 = q[:, 1] + q[:, 2]
-    angles = np.stack([q[:, 0], q[:, 1], psi2, psi2 + q[:, 3], q[:, 4], q[:, 5]], 1)
-    return np.stack([np.cos(angles), np.sin(angles)], -1).reshape(len(q), 12)

@@ -73,7 +73,7 @@ def solve(
 def sizes(joints: int) -> dict[str, Any]:
     """Further dimensions of what the solvers' kernels write."""
     branches = dict.fromkeys(("valid", "position_error", "rotation_error"), int(BRANCHES))
-    return {"q": (int(BRANCHES), joints), **branches, "status": 4, "steps": 4, "nearest": joints}
+    return {"q": (int(BRANCHES), joints), **branches, "status": 4, "steps": 2, "nearest": joints}
 
 
 @lru_cache(maxsize=16)

@@ -28,17 +28,18 @@ from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, load_robot
 
 ITERATIONS = 20
-"""Damped least squares steps per seed, as in the fused kernel."""
+"""Damped least squares steps per seed."""
 
 ROWS = 512
 """Branches iterated at once. Always as many: what is short is filled up, so that a row never meets
 another shape."""
 
 TOLERANCE = 1e-9
-"""Metres and radians at which a branch counts as found, as in kernels/ik/step.py."""
+"""Metres and radians at which a branch counts as found."""
 
 DAMPING, DAMPING_MIN = 0.1, 1e-12
-"""lambda = DAMPING |error|^2 + DAMPING_MIN (Sugihara 2011), as in kernels/ik/step.py."""
+"""lambda = DAMPING |error|^2 + DAMPING_MIN (Sugihara 2011, Solvability-unconcerned inverse kinematics by
+the Levenberg-Marquardt method)."""
 
 FIRST_SEEDS = 16
 """Seeds of an arm without a closed form that every row tries; the others are for rows without a posture."""
@@ -61,7 +62,7 @@ def solve_ik(
     `T_world_ee`.
 
     Slots, statuses and residuals mean the same. A pair of branches is CONVERGED where both of its
-    elbows were found, RESCUED where the closed form's solution stands in for one. Same bits for any
+    elbows were found, FOUND where the closed form's solution stands in for one. Same bits for any
     batch size and order (tests/judge/test_ik_jacobian.py). Raises ValueError as `judge.ik.solve_ik`
     does.
     """
@@ -72,9 +73,7 @@ def solve_ik(
         assert isinstance(kernels, fused.SearchedIk)
         return _searched(robot, T_world_ee, kernels)
     start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
-    exact = fused.solve_ik(
-        T_world_ee, active=active, robot=robot, home=home, seeds=start[:0], iterations=iterations
-    )
+    exact = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
     if start.ndim != 2 or start.shape[1] != 6 or not np.isfinite(start).all():
         raise ValueError(
             f"seeds have shape {start.shape}; they must be finite joint angles (S, 6) in rad"
@@ -83,16 +82,13 @@ def solve_ik(
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=device)
     pair = 2 * (slot // 4) + slot % 2
     # (b, 8): it exists and is a point, not a line
-    rescued = (exact.status == int(ik_step.STATUS_RESCUED))[:, pair]
-    row, column = rescued.nonzero(as_tuple=True)
+    row, column = (exact.status == int(ik_step.STATUS_FOUND))[:, pair].nonzero(as_tuple=True)
     targets = se3.orthonormalise(T_world_ee.double())[row]
     signs = torch.stack(
         [1.0 - 2.0 * (column // 4), 1.0 - 2.0 * (column // 2 % 2), 1.0 - 2.0 * (column % 2)], 1
     ).double()
-    q, found, steps = _search(
-        robot, targets, signs, torch.from_numpy(start.copy()).to(device), iterations
-    )
-    return _filled(robot, exact, row, column, pair, targets, q, found, steps, home)
+    q, found = _search(robot, targets, signs, torch.from_numpy(start.copy()).to(device), iterations)
+    return _filled(robot, exact, row, column, targets, q, found, home)
 
 
 def _searched(
@@ -197,8 +193,8 @@ def _descend_within(
 
 
 def _filled(
-    robot: Robot, exact: fused.IkResult, row: Tensor, column: Tensor, pair: Tensor, targets: Tensor, q: Tensor, found: Tensor,
-    steps: Tensor, home: Sequence[float],
+    robot: Robot, exact: fused.IkResult, row: Tensor, column: Tensor, targets: Tensor, q: Tensor, found: Tensor,
+    home: Sequence[float],
 ) -> fused.IkResult:  # fmt: skip
     """The closed form's result with the branches that were found put in: turns nearest home,
     residuals, statuses."""
@@ -217,10 +213,9 @@ def _filled(
         position_error_m=exact.position_error_m.index_put(at, position[found].float()),
         rotation_error_rad=exact.rotation_error_rad.index_put(at, rotation[found].float()),
         valid=exact.valid.index_put(at, torch.ones_like(at[0], dtype=torch.bool)),
-        steps=exact.steps.index_put((row, pair[column]), steps.int(), accumulate=True),
     )
     missing = torch.zeros_like(exact.valid).index_put((row, column), ~found)
-    both = (exact.status == int(ik_step.STATUS_RESCUED)) & ~(
+    both = (exact.status == int(ik_step.STATUS_FOUND)) & ~(
         missing.reshape(-1, 2, 2, 2).any(2).reshape(-1, 4)
     )
     return replace(result, status=torch.where(both, int(ik_step.STATUS_CONVERGED), result.status))
@@ -232,25 +227,21 @@ def _search(
     signs: Float[Tensor, "m 3"],
     seeds: Float[Tensor, "s 6"],
     iterations: int,
-) -> tuple[Float[Tensor, "m 6"], Bool[Tensor, "m"], Int[Tensor, "m"]]:
-    """Joint angles, whether a seed led to them, and all steps taken; `signs`: shoulder, elbow,
-    wrist of the asked branch."""
+) -> tuple[Float[Tensor, "m 6"], Bool[Tensor, "m"]]:
+    """Joint angles, and whether a seed led to them; `signs`: shoulder, elbow, wrist of the asked
+    branch."""
     m = len(targets)
     q = torch.zeros((m, 6), dtype=torch.float64, device=targets.device)
     found = torch.zeros(m, dtype=torch.bool, device=targets.device)
-    steps = torch.zeros(m, dtype=torch.int64, device=targets.device)
     # one after the other: the first that converges counts, whoever shares the chunk
     for seed in seeds:
         left = (~found).nonzero(as_tuple=True)[0]
         for i in range(0, len(left), ROWS):
             some = left[i : i + ROWS]
             filled = torch.cat([some, some[:1].expand(ROWS - len(some))])
-            reached, converged, used = _descend(
-                robot, targets[filled], signs[filled], seed, iterations
-            )
+            reached, converged = _descend(robot, targets[filled], signs[filled], seed, iterations)
             q[some], found[some] = reached[: len(some)], converged[: len(some)]
-            steps[some] += used[: len(some)]
-    return q, found, steps
+    return q, found
 
 
 def _descend(
@@ -259,9 +250,9 @@ def _descend(
     signs: Float[Tensor, "n 3"],
     seed: Float[Tensor, "6"],
     iterations: int,
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Damped least squares from one seed: the last joint angles, whether they are the asked branch,
-    the steps taken.
+) -> tuple[Tensor, Tensor]:
+    """Damped least squares from one seed: the last joint angles, and whether they are the asked
+    branch.
 
     d = (J^T J + lambda 1)^-1 J^T e with pytorch-kinematics' geometric Jacobian; each joint turns by
     2 atan(d / 2), so that no step is above half a turn. Rows that have arrived stand still.
@@ -270,7 +261,6 @@ def _descend(
     chain, tool, links = _chain(robot, str(T.device)), float(ur.tool), (float(ur.a2), float(ur.a3))
     p5 = T[:, :3, 3] - tool * T[:, :3, 2]
     q = _seeded(seed, p5, signs)
-    steps = torch.zeros(len(T), dtype=torch.int64, device=T.device)
     unit = torch.eye(6, dtype=torch.float64, device=T.device)
     for step in range(iterations + 1):
         q = _in_branch(q, signs, links)
@@ -284,9 +274,8 @@ def _descend(
         normal = Jt @ J + (DAMPING * size + DAMPING_MIN)[:, None, None] * unit
         d = torch.linalg.solve(normal, (Jt @ e[:, :, None])[:, :, 0])
         q = torch.where(done[:, None], q, q + 2.0 * torch.atan(0.5 * d))
-        steps += ~done
     ahead = torch.cos(q[:, 0]) * p5[:, 0] + torch.sin(q[:, 0]) * p5[:, 1]
-    return q, done & (ahead * signs[:, 0] >= 0), steps
+    return q, done & (ahead * signs[:, 0] >= 0)
 
 
 def _error(now: Tensor, T: Tensor) -> tuple[Float[Tensor, "n 6"], Float[Tensor, "n"]]:
