@@ -33,8 +33,6 @@ from r2h_batch.base import launch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import planner
-from r2h_batch.judge.frontier.form import FORMS, planning_form
-from r2h_batch.judge.frontier.levels import Frontier
 from r2h_batch.judge.search import Search
 from r2h_batch.methods import random
 
@@ -43,8 +41,8 @@ MARGIN_M = 1e-4
 CHUNKS = (2048, 8192, 32768)
 BLOCKS = (32, 64, 128, 256)
 WORLDS = (256, 1024, 4096, 16384)
-FORM_ROWS = 32_000
-"""Rows that decide between the two forms of planning."""
+SEARCH_ROWS = 32_000
+"""Rows of which the search is measured."""
 REPEATS = 3
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
@@ -230,37 +228,17 @@ def throughput(bench: Bench) -> None:
     bench.report.add("gpu.trials_per_s", best)
 
 
-def both_forms(bench: Bench) -> None:
-    """The same rows in both forms of postures, straight lines, clearances and Safe: by levels, or one thread a trial."""
-    n = FORM_ROWS if bench.cuda else bench.trials
-    batch = bench.repeated(bench.mix, n)
-    evaluator = Evaluator(load_benchmark(), replace(KINEMATIC, chunk=n), device=bench.device)
-    rates: dict[str, float] = {}
-    outcomes = []
-    for form in FORMS:
-        with planning_form(form):
-            rates[form] = n / bench.seconds(partial(evaluator.score, *batch))
-            outcomes.append(evaluator.score(*batch).outcome.cpu())
-        bench.report.add(f"gpu.forms.{form}.trials_per_s", rates[form])
-    loser, winner = sorted(rates, key=lambda form: rates[form])
-    bench.report.add("gpu.forms.rows", n)
-    bench.report.add("gpu.forms.loser", loser)
-    bench.report.add("gpu.forms.winner_is_faster_by", rates[winner] / rates[loser])
-    bench.report.add("gpu.forms.outcomes_that_differ", int((outcomes[0] != outcomes[1]).sum()))
-
-
 SEARCHED = {
-    "straight_lines": (Frontier, "straight"),
+    "straight_lines": (planner.Planner, "straight"),
     "search": (Search, "_connect"),
     "shortcuts": (Search, "_shorten"),
-    "clearances": (Frontier, "clearance"),
+    "clearances": (planner.Planner, "clearance"),
 }
 
 
 def search(bench: Bench) -> None:
-    """Time of the search for a trial, beside the parts of planning that go level by level: it runs one thread a
-    problem, and a launch takes as long as its longest problem."""
-    n = FORM_ROWS if bench.cuda else bench.trials
+    """Time of the search for a trial, beside the other parts of planning: a launch takes as long as its longest problem."""
+    n = SEARCH_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.random, n)
     evaluator = Evaluator(load_benchmark(), replace(KINEMATIC, chunk=n), device=bench.device)
     spent = dict.fromkeys(SEARCHED, 0.0)
@@ -284,13 +262,12 @@ def search(bench: Bench) -> None:
 
         return timed
 
-    with planning_form("frontier"):
-        seconds = bench.seconds(partial(evaluator.score, *batch))
-        with ExitStack() as stack:
-            stack.enter_context(mock.patch.object(planner, "over_trials", launched))
-            for name, (owner, method) in SEARCHED.items():
-                stack.enter_context(mock.patch.object(owner, method, timed(name, getattr(owner, method))))
-            scores = evaluator.score(*batch)
+    seconds = bench.seconds(partial(evaluator.score, *batch))
+    with ExitStack() as stack:
+        stack.enter_context(mock.patch.object(planner, "over_trials", launched))
+        for name, (owner, method) in SEARCHED.items():
+            stack.enter_context(mock.patch.object(owner, method, timed(name, getattr(owner, method))))
+        scores = evaluator.score(*batch)
     bench.report.add("gpu.search.rows", n)
     bench.report.add("gpu.search.searched_paths", int((scores.path_len > 2).sum()))
     bench.report.add("gpu.search.whole_us_per_trial", seconds / n * 1e6)
@@ -332,7 +309,7 @@ def worlds(bench: Bench) -> None:
 
 
 PARTS: tuple[Callable[[Bench], None], ...] = (
-    machine, capture_first, compile_times, equal_to_cpu, equal_bits, both_forms, search, throughput, pose_stage, worlds,
+    machine, capture_first, compile_times, equal_to_cpu, equal_bits, search, throughput, pose_stage, worlds,
     marked_tests, memcheck,
 )  # fmt: skip
 """In the order of what is missed most when the time ends."""

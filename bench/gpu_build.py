@@ -1,7 +1,6 @@
 """Every kernel as a GPU would get it, without a GPU: CPU seconds to compile, registers, stack, spills (sm_90).
 
 python bench/gpu_build.py [--modules plan.rrt judge.safe ...] [--ptxas FILE] [--json FILE]
-python bench/gpu_build.py --lanes 2048 [--json FILE]        counts useful lanes instead (bench/_lanes.py)
 
 A module is compiled as a first launch on a GPU does: Warp's C++ to PTX (NVRTC, which is part of Warp), PTX to machine code
 (ptxas). cpu_s is process time of both, of one process, with one module after the other; no kernel cache is used.
@@ -27,7 +26,6 @@ from pathlib import Path
 from types import ModuleType
 
 import warp as wp
-from _lanes import report_lanes
 from _report import Report, arguments
 
 import r2h_batch.kernels
@@ -149,13 +147,7 @@ def main(given: Sequence[str] | None = None) -> int:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.add_argument("--modules", nargs="+", metavar="NAME", help="only these (plan.rrt); all without")
     parser.add_argument("--ptxas", type=Path, metavar="FILE", help="the assembler; looked for without")
-    parser.add_argument("--lanes", type=int, metavar="N", help="instead: useful lanes of N trials (bench/_lanes.py)")
     options = parser.parse_args(given)
-    if options.lanes:
-        report = Report()
-        report_lanes(report, options.lanes)
-        report.write(options.json)
-        return 0
     ptxas, known = find_ptxas(options.ptxas), kernel_modules()
     if ptxas is None:
         parser.error("no ptxas here: pip install --no-deps nvidia-cuda-nvcc, or give --ptxas FILE")

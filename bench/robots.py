@@ -185,7 +185,7 @@ def collisions(robot: Robot, count: int, per_trial: int = 250) -> dict[str, int]
         )
         flat = torch.from_numpy(q.reshape(-1, n)).float()
         every = torch.ones(len(flat), dtype=torch.bool)
-        clear = Planner(scene, oracle.place(scene, stages), None).check(flat, every, per_trial)[0].view(40, per_trial)
+        clear = Planner(scene, oracle.place(scene, stages)).check(flat, every, per_trial)[0].view(40, per_trial)
         exact = flat.double().numpy().reshape(q.shape)
         for k, staged in enumerate(stages):
             twin = oracle.mujoco_scene(scene, staged)

@@ -28,23 +28,7 @@ def test_a_dry_run_leaves_figures_of_every_part_that_needs_no_gpu(gpu, tmp_path,
     assert set(ends) == {p.__name__ for p in gpu.PARTS} and all(v.startswith("done") for v in ends.values())
     assert values["gpu.mix.outcomes_that_differ"] == 0 and values["gpu.mix.trials"] == 2
     assert values["gpu.same_bits.permuted"] is True and values["gpu.trials_per_s"] > 0
-    rates = {form: values[f"gpu.forms.{form}.trials_per_s"] for form in ("frontier", "one_thread")}
-    assert values["gpu.forms.loser"] == min(rates, key=rates.get) and values["gpu.forms.winner_is_faster_by"] >= 1
-    assert values["gpu.forms.rows"] == 2 and values["gpu.forms.outcomes_that_differ"] == 0
     assert values["gpu.search.rows"] == 2 and values["gpu.search.launches"] >= 1
     parts = [values[f"gpu.search.{x}_us_per_trial"] for x in ("straight_lines", "search", "shortcuts", "clearances")]
     assert min(parts) > 0 and values["gpu.search.share_of_whole"] > 0
-    assert f"| gpu.forms.loser | {values['gpu.forms.loser']} |" in (tmp_path / "gpu.md").read_text()
     assert "| gpu.trials_per_s |" in (tmp_path / "gpu.md").read_text()
-
-
-@pytest.mark.slow
-def test_lanes_of_every_stage_are_counted_and_counting_changes_no_row(monkeypatch):
-    monkeypatch.syspath_prepend(str(BENCH))
-    from _lanes import STAGES, report_lanes
-    from _report import Report
-
-    report = Report()
-    report_lanes(report, 32)
-    assert all(0 < report.values[f"gpu_lanes.{stage}.useful"] <= 1 for stage in STAGES)
-    assert all(report.values[f"gpu_lanes.{stage}.cpu_ms"] > 0 for stage in STAGES)

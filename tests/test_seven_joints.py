@@ -9,7 +9,6 @@ from seven import seven_joints
 from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base.launch.instances import of_joints
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.lines import check_postures
@@ -35,21 +34,18 @@ def test_a_second_number_of_joints_is_a_second_instance_of_the_same_files():
 
 
 def test_with_its_extra_joint_at_0_it_is_checked_as_the_ur5e_bit_for_bit_but_for_rounding(scene, evaluator):
-    """In both forms of planning: one thread a trial, and level by level."""
     stages, base = oracle.random_stages(scene, np.random.default_rng(6), 8)
     q = np.random.default_rng(7).normal(base[:, None], 0.3, (8, 100, 6))
     wide = np.insert(q, 3, 0.0, axis=2)
-    found = {}
-    for form in ("one_thread", "frontier"):
-        with planning_form(form):
-            for arm, postures in ((scene, q), (evaluator.scene, wide)):
-                flat = torch.tensor(postures.reshape(800, -1), dtype=torch.float32)
-                every = torch.ones(800, dtype=torch.bool)
-                found[form, arm] = Planner(arm, oracle.place(arm, stages), None).check(flat, every, 100)
-        (clear, pair, room), (clear7, pair7, room7) = found[form, scene], found[form, evaluator.scene]
-        borderline = (room - room7).abs() > 1e-5
-        assert 100 < int(clear.sum()) < 700 and torch.equal(clear, clear7)
-        assert (pair == pair7).float().mean() > 0.99 and not borderline.any()
+    found = []
+    for arm, postures in ((scene, q), (evaluator.scene, wide)):
+        flat = torch.tensor(postures.reshape(800, -1), dtype=torch.float32)
+        every = torch.ones(800, dtype=torch.bool)
+        found.append(Planner(arm, oracle.place(arm, stages)).check(flat, every, 100))
+    (clear, pair, room), (clear7, pair7, room7) = found
+    borderline = (room - room7).abs() > 1e-5
+    assert 100 < int(clear.sum()) < 700 and torch.equal(clear, clear7)
+    assert (pair == pair7).float().mean() > 0.99 and not borderline.any()
 
 
 def test_it_reaches_what_it_can_reach_and_says_only_what_is_proven(evaluator):

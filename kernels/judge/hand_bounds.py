@@ -78,7 +78,7 @@ def link_is_clear(
 # 4. along the plane that GJK found, over the whole interval. What is left: the faces, or, if nothing is nearer in the middle
 #    and the plane could not have settled it (`least_rest`), the halves.
 #
-# `bound_of_ball` is 1 and 2, `bound_of_hull` 4. A CPU asks for all of it at once, the levels (kernels/frontier/) one by one.
+# `bound_of_ball` is 1 and 2, `bound_of_hull` 4.
 @wp.func
 def bound_of_ball(world: World, body: MovingBody, piece: int, distance: float, tolerance: float, waits: int):
     """SETTLED, WAITS or ASK, from the ball around a piece (numbered over all hands)."""

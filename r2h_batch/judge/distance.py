@@ -13,10 +13,8 @@ from torch import Tensor
 
 from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.judge.frontier.form import uses_frontier
 from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
 from r2h_batch.kernels.judge.rows import posture_lengths
-from r2h_batch.kernels.plan.codes import WAYPOINTS
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 
@@ -43,9 +41,6 @@ Measure = Callable[[BodyPoses, Tensor, Tensor, Tensor | None], tuple[Tensor, ...
 along each path, NaN where its length is 0, and more about that moment. `rows`: the trials of the
 paths, None: all in order."""
 
-RECORDED_MOTION_ROOM = 3
-"""Room of a motion recorded sample by sample in the frontier's queues, in paths."""
-
 
 def person_distance(
     scene: Scene,
@@ -64,10 +59,9 @@ def person_distance(
     from r2h_batch.judge.plan import path_clearances
 
     alone = with_person(scene, body_poses, receiver, hand=False)
-    rows = len(length) if path.shape[1] <= WAYPOINTS else RECORDED_MOTION_ROOM * len(length)
     path, length = path.contiguous(), length.contiguous()
     distance, _, body = path_clearances(
-        scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, without=math.nan, rows=rows
+        scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, without=math.nan
     )
     return distance, body
 
@@ -134,17 +128,10 @@ def hand_distance(
         found["segment"].fill_(-1)
         distance = found["distance"]
         motion = {"path": path, "length": length}
-        if uses_frontier(scene.device):
-            from r2h_batch.judge.frontier.safe import SafeFrontier
-
-            frontier = SafeFrontier(scene, bodies, **motion, tolerance=SAFE_TOLERANCE_M)
-            frontier(found)
-            meets = frontier.rows_where(moves & (distance < 0))
-        else:
-            inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
-            kernel = scene.sized(safe_distance)
-            over_trials(kernel, b, scene.device, outputs=found, chunk=16, uneven=True)(**inputs)
-            meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
+        inputs = {"cap": CLEARANCE_CAP_M, "tolerance": SAFE_TOLERANCE_M, **tables, **motion}
+        kernel = scene.sized(safe_distance)
+        over_trials(kernel, b, scene.device, outputs=found, chunk=16, uneven=True)(**inputs)
+        meets = torch.nonzero(moves & (distance < 0)).flatten().to(torch.int32)
         # the search for the smallest distance ends where bodies meet: how deep is a search of its
         # own
         inputs = {**tables, "row": meets, **motion}

@@ -132,8 +132,6 @@ def plan_paths(
         least, pair, body = planner.clearance(path, length, cap_m=cap_m)
         if edge_mode == SAMPLES:  # sampled edges may pass through things
             _measure_overlaps(planner, scene, path, length, least, pair, body)
-        elif planner.frontier is not None:
-            planner.frontier.refuse_if_full()
         reason = _reasons(active, start_clear, valid, n_goals, length)
         first_valid = valid.to(torch.int8).argmax(1)
         blocked_by = goal_pair[torch.arange(b, dtype=torch.int64, device=device), first_valid]
@@ -156,7 +154,6 @@ def path_clearances(
     *,
     tolerance_m: float = CLEARANCE_TOLERANCE_M,
     without: float = -math.inf,
-    rows: int | None = None,
     cap_m: float = CLEARANCE_CAP_M,
     depths: bool = True,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
@@ -170,11 +167,10 @@ def path_clearances(
         length: number of waypoints; 0: no path, body -1.
         tolerance_m: of clearances above 0.
         without: the clearance where there is no path, m.
-        rows: for how many paths of WAYPOINTS the frontier has room; None: as many as the waypoints make.
         cap_m: clearances count this at most, m.
         depths: measure how deep bodies meet; False: where they meet, anything below 0.
     """
-    planner = Planner(scene, body_poses, rows=rows or -(-path.shape[1] // WAYPOINTS) * len(path))
+    planner = Planner(scene, body_poses)
     found = planner.clearance(path, length, tolerance_m, without, cap_m)
     if not depths:
         return found
@@ -193,13 +189,11 @@ def _measure_overlaps(
 ) -> None:
     """Writes how deep the bodies meet on paths whose clearance is below 0, and which they are."""
     if path.shape[1] == 1:
-        # the kernel passes over rows that meet nothing, and a single posture overflows no queue
+        # the kernel passes over rows that meet nothing: a list of the others would wait for the device
         rows, chunk = _every_row(len(path), path.device), 16
     else:
         meets = (length > 0) & (least < 0)
-        frontier = planner.frontier
-        rows = torch.nonzero(meets).flatten() if frontier is None else frontier.rows_where(meets)
-        rows, chunk = rows.to(torch.int32), 1
+        rows, chunk = torch.nonzero(meets).flatten().to(torch.int32), 1
     inputs = {"hull_ball": scene.hull_balls, "row": rows, "path": path, "length": length}
     outputs = {"clearance": least, "pair": pair, "body": body}
     planner(path_overlap, len(rows), inputs=inputs, outputs=outputs, chunk=chunk)

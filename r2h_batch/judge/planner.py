@@ -3,7 +3,7 @@
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from jaxtyping import Float32, Int32
@@ -11,31 +11,17 @@ from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
 from r2h_batch.config import CLEARANCE_CAP_M, CLEARANCE_TOLERANCE_M
-from r2h_batch.judge.frontier.form import uses_frontier
 from r2h_batch.kernels.plan.lines import check_postures, path_clearance, straight_lines
 from r2h_batch.scene.scene import BodyPoses, Scene
 
-if TYPE_CHECKING:  # half of the kernels, which a CPU does not need
-    from r2h_batch.judge.frontier.levels import Frontier
-
 
 class Planner:
-    """Runs planning kernels, which all take the scene's world and the trials' bodies.
+    """Runs planning kernels, which all take the scene's world and the trials' bodies."""
 
-    Postures, straight lines and clearances go through `frontier` where there is one (on a GPU).
-    """
-
-    def __init__(self, scene: Scene, body_poses: BodyPoses, rows: int | None = None) -> None:
-        """`rows`: for how many paths of at most WAYPOINTS the frontier has room; None: one a trial."""
+    def __init__(self, scene: Scene, body_poses: BodyPoses) -> None:
         self._tables = {"world": body_poses.tables(scene), "bodies": body_poses.bodies}
         self._device, self._sized = scene.device, scene.sized
         self.joint_weight = scene.robot.joint_weight
-        self.frontier: Frontier | None = None
-        if uses_frontier(scene.device):
-            from r2h_batch.judge.frontier import levels
-
-            rows = rows or len(body_poses.object_index)
-            self.frontier = levels.Frontier(**self._tables, device=scene.device, rows=rows)
 
     def __call__(
         self, kernel: Any, n: int, *, inputs: dict[str, Any], outputs: dict[str, Any], chunk: int
@@ -55,8 +41,6 @@ class Planner:
     def check(self, q: Tensor, active: Tensor, per_trial: int) -> tuple[Tensor, Tensor, Tensor]:
         """Free or not, the pair that collides, the hand clearance up to 6.5 mm; one row per
         posture."""
-        if self.frontier is not None:
-            return self.frontier.check(q.contiguous(), active, per_trial)
         made = self._over(check_postures, len(q), 64)(
             per_trial=per_trial, active=active.contiguous(), q=q.contiguous()
         )
@@ -72,8 +56,6 @@ class Planner:
     ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"], Int32[Tensor, " b"]]:
         """Smallest clearance along each path over all pairs, at most `cap_m` (`without` one: that), its pair and the
         robot's body."""
-        if self.frontier is not None:
-            return self.frontier.clearance(path, length, tolerance_m, without, cap_m)
         made = self._over(path_clearance, len(path), 8)(
             cap=cap_m, tolerance=tolerance_m, without=without, path=path, length=length
         )
@@ -83,8 +65,6 @@ class Planner:
         self, start: Tensor, goals: Tensor, n_goals: Tensor, margin: Tensor, edge_mode: int
     ) -> Tensor:
         """Each row's first goal whose straight line from the start is free, or -1."""
-        if self.frontier is not None:
-            return self.frontier.straight(start, goals, n_goals, margin, edge_mode)
         chosen = torch.full_like(n_goals, -1)
         inputs = {"edge_mode": edge_mode, "start": start, "goals": goals, "n_goals": n_goals}
         inputs |= {"goal_margin": margin.view(-1)}

@@ -116,7 +116,7 @@ def test_collisions_at_a_singular_wrist_prove_nothing():
     assert unproven.sum() > 50 and (p.plan_pair[unproven] != 0).all()
     # the very posture that the target was made from is a solution: where that is free, "proven" would be false
     body_poses = attach_object(evaluator.scene, b.T_obj_ee, b.T_world_ee, b.trials, evaluator.config).body_poses
-    free, _, _ = Planner(evaluator.scene, body_poses, None).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
+    free, _, _ = Planner(evaluator.scene, body_poses).check(torch.from_numpy(q.astype(np.float32)), unproven, 1)
     assert free.any()
 
 

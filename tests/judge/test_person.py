@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 from itertools import pairwise
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,11 +10,10 @@ import torch
 from oracle import MujocoScene, Staged, deepest_along, geom_depth
 from seven import with_hulls
 
-from r2h_batch import evaluate, load_benchmark
+from r2h_batch import load_benchmark
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.distance import SAFE_TOLERANCE_M, NearestApproach, nearer_of, person_distance
-from r2h_batch.judge.frontier.form import planning_form
+from r2h_batch.judge.distance import NearestApproach, nearer_of
 from r2h_batch.methods import fc
 from r2h_batch.scene.robot import load_robot
 
@@ -110,28 +108,6 @@ def test_an_overlap_with_the_body_is_said_to_be_no_deeper_than_it_is(asked, as_p
         assert said <= depth + 1e-4, (i, said, depth)
         ratio.append(said / depth)
     assert np.median(ratio) > 0.1, ratio
-
-
-def test_the_frontier_finds_the_distances_of_one_thread(asked):
-    """A GPU's form, on a CPU: of the answers' own motions as planned, and of each as 150 samples."""
-    scene = evaluator("hand").scene
-    with mock.patch.object(evaluate, "person_distance", wraps=person_distance) as asked_of:
-        evaluator("hand").score(*asked)
-    _, body_poses, receiver, path, length = asked_of.call_args_list[0].args
-    ends = path[torch.arange(len(length)), (length - 1).clamp(min=0).long()]
-    sampled = path[:, :1] + torch.linspace(0, 1, 151)[None, :, None] * (ends[:, None] - path[:, :1])
-    for motion, n in ((path, length), (sampled, torch.where(length > 0, 151, 0).to(torch.int32))):
-        here, body = person_distance(scene, body_poses, receiver, motion, n)
-        with planning_form("frontier"):
-            there, body_there = person_distance(scene, body_poses, receiver, motion, n)
-        assert torch.equal(torch.isnan(here), n == 0) and torch.equal(torch.isnan(there), n == 0)
-        found = n > 0
-        assert torch.equal(here[found] < 0, there[found] < 0) and (here[found] < 0).sum() >= 3
-        apart = found & (here > 0)
-        assert (here < CLEARANCE_CAP_M)[apart].sum() >= 3
-        assert (here - there)[apart].abs().max() <= SAFE_TOLERANCE_M + 1e-6
-        same = here == there
-        assert same.sum() >= 0.9 * found.sum() and torch.equal(body[same], body_there[same])
 
 
 def test_reported_only_nothing_else_of_a_row_changes(asked, as_paper):

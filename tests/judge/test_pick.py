@@ -17,7 +17,6 @@ from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.grasp import close_gripper
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.pick import ROWS, Picked, PickReason, picked
@@ -174,17 +173,6 @@ def test_a_row_has_the_same_bits_alone_in_any_batch_and_order():
         for b, rows in ((again, order), (alone, torch.tensor([passes])), (many, over)):
             x, y = (np.ascontiguousarray(t.numpy()) for t in (a[rows], getattr(b, f.name)))
             assert x.tobytes() == y.tobytes(), f.name
-
-
-def test_the_form_for_a_gpu_says_the_same():
-    T_obj_ee, T_world_obj, trials = asked(0, 14)
-    rows = torch.arange(0, len(trials), 4)
-    with planning_form("frontier"):
-        other = picked(scene(), T_obj_ee[rows], T_world_obj[rows], trials[rows])
-    whole = found(0, 14)
-    assert torch.equal(other.reason, whole.reason[rows]) and other.picked.any()
-    got = other.picked
-    assert torch.allclose(other.margin_m[got], whole.margin_m[rows][got], atol=3e-4)
 
 
 def test_an_object_that_rests_is_as_far_from_the_robot_as_mujoco_says():

@@ -21,7 +21,6 @@ from problems import Problems, default_evaluator, make_batch, solve
 from rounds import each
 
 from r2h_batch.config import CLEARANCE_CAP_M, HOME_Q, PlanConfig
-from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import one_branch
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.plan import GOAL_ROOM_M, WAYPOINTS, plan_paths, random_key
@@ -93,17 +92,15 @@ def test_every_timed_path_is_free_in_mujoco_keeps_its_distance_and_leads_from_ho
     assert judge_paths(problems(n), every=every) >= least
 
 
-@pytest.mark.parametrize("form", ["one_thread", "frontier"])
-def test_paths_lead_from_any_start_as_they_do_from_home(form):
+def test_paths_lead_from_any_start_as_they_do_from_home():
     scene, p = default_evaluator().scene, problems(N)
     last = (p.plan.length.long() - 1).clamp(min=0)
     goal = p.plan.path[torch.arange(len(last)), last]
     start = torch.where((p.plan.length > 0)[:, None], goal, torch.tensor(HOME_Q)).roll(1, 0)
-    with planning_form(form):
-        plan = plan_paths(
-            scene, p.body_poses, p.ik.q, p.ik.valid, p.ik.reachable, random_key(p.batch.trials.trial_id),
-            PlanConfig(rounds=(50,)), start=start,
-        )  # fmt: skip
+    plan = plan_paths(
+        scene, p.body_poses, p.ik.q, p.ik.valid, p.ik.reachable, random_key(p.batch.trials.trial_id),
+        PlanConfig(rounds=(50,)), start=start,
+    )  # fmt: skip
     assert judge_paths(replace(p, plan=plan), every=8, start=start) >= 10
     assert (plan.length > 2).sum() >= 3
     blocked = np.flatnonzero(plan.reason.numpy() == int(PlanReason.START_IN_COLLISION))

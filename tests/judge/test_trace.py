@@ -7,7 +7,6 @@ from planning_twins import checker_of, dense, recheck
 from problems import default_evaluator, make_batch, solve
 
 from r2h_batch import EvalConfig, Evaluator, load_benchmark
-from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.methods import random
 from r2h_batch.types import Outcome, PlanReason, Scores
 from r2h_batch.verdicts import CRITERIA
@@ -49,14 +48,6 @@ def test_a_path_of_our_planner_gets_the_verdict_that_it_had(evaluator, planned):
     assert torch.allclose(given.margin, own.margin, atol=2e-5, equal_nan=True)
     assert torch.equal(given.margin[:, PLAN], own.margin[:, PLAN])
     assert given.t_plan_s.isnan().all() and torch.equal(given.q_goal, own.q_goal)
-
-
-def test_the_form_for_cuda_measures_the_same_motions(evaluator, planned):
-    given = moved(evaluator, planned)
-    with planning_form("frontier"):
-        frontier = moved(evaluator, planned)
-    assert torch.equal(frontier.outcome, given.outcome)
-    assert torch.allclose(frontier.margin, given.margin, atol=2e-5, equal_nan=True)
 
 
 def test_more_samples_on_the_same_lines_change_no_verdict(evaluator, planned):

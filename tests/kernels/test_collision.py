@@ -45,7 +45,7 @@ def postures_near(rng, base, n):
 def check(scene, body_poses, q):
     per_trial = q.shape[1]
     flat = torch.tensor(q.reshape(-1, q.shape[2]), dtype=torch.float32)
-    out = Planner(scene, body_poses, None).check(flat, torch.ones(len(flat), dtype=torch.bool), per_trial)
+    out = Planner(scene, body_poses).check(flat, torch.ones(len(flat), dtype=torch.bool), per_trial)
     return [x.numpy().reshape(q.shape[:2]) for x in out]
 
 
@@ -179,7 +179,7 @@ def clearance_of(scene, body_poses, paths):
     least, (pair, body) = torch.full((n,), -9.0), torch.full((2, n), -1, dtype=torch.int32).unbind(0)
     inputs = {"cap": CAP_M, "tolerance": CLEARANCE_TOLERANCE_M, "without": -9.0, "path": path, "length": length}
     outputs = {"clearance": least, "pair": pair, "body": body}
-    Planner(scene, body_poses, None)(path_clearance, n, inputs=inputs, outputs=outputs, chunk=8)
+    Planner(scene, body_poses)(path_clearance, n, inputs=inputs, outputs=outputs, chunk=8)
     return least.numpy(), pair.numpy(), body.numpy()
 
 

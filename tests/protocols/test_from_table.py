@@ -19,7 +19,6 @@ from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import metrics
-from r2h_batch.judge.frontier.form import planning_form
 from r2h_batch.judge.ik import nearest_turns
 from r2h_batch.judge.pick import picked
 from r2h_batch.judge.reception import reception
@@ -204,14 +203,6 @@ def test_goals_are_taken_at_the_turns_nearest_to_the_start(judge):
         allowed = (other >= lower + 1e-6) & (other <= upper - 1e-6)
         away, there = ((x - start.double()[:, None]).abs() for x in (found, other))
         assert (away <= there + 1e-5)[allowed].all() and allowed.any()
-
-
-def test_both_forms_of_the_planner_carry_alike(judge, asked, scores):
-    rows = torch.nonzero(scores.path_len > 0)[:4, 0]
-    with planning_form("frontier"):
-        other = judge.score(asked[0][rows], asked[1][rows], asked[2][rows])
-    assert torch.equal(other.outcome, scores.outcome[rows]) and torch.equal(other.path[:, 0], scores.path[rows, 0])
-    assert torch.allclose(other.margin, scores.margin[rows], atol=2e-4, equal_nan=True)
 
 
 def test_other_code_judges_the_rows_with_their_carry_again(folder):

@@ -203,27 +203,6 @@ def _written(kernel: Any) -> tuple[tuple[str, Any, bool, tuple[int, ...], torch.
     )
 
 
-def new_struct(
-    kind: Any, n: int, device: Any, tensors: Mapping[str, Tensor] | None = None, **sizes: int
-) -> Any:
-    """A `kind` (of wp.struct) with memory of `n` rows for each array; there are no numbers in it yet.
-
-    Args:
-        kind: what is made; `struct_of` says how.
-        n: rows.
-        device: of torch or by name.
-        given: tensors that stand in their arrays' places.
-        sizes: of each other array with a second dimension, how large that is.
-    """
-    tensors = tensors or {}
-    new = {}
-    for name, p in _fields(kind):
-        if name not in tensors and p.array is not None:
-            shape = (n, *((sizes[name],) if p.array.ndim > 1 else ()), *p.array.item)
-            new[name] = torch.empty(shape, dtype=p.array.torch, device=device)
-    return struct_of(kind, {**new, **tensors})
-
-
 def struct_of(kind: Any, tensors: Mapping[str, Tensor]) -> Any:
     """A `kind` (of wp.struct) whose arrays are these tensors' memory, which it keeps. They lie on
     one device.

@@ -24,7 +24,6 @@ from r2h_batch.base.io.progress import progress
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.judge.frontier.form import Form, planning_form
 from r2h_batch.observe.sees import Sees
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
@@ -135,8 +134,6 @@ class Judge:
         self.evaluator = Evaluator(self.benchmark, config, device=device, plans_in=plans_in)
         self.other = _other(header, device)
         self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
-        # the last bits of Safe's margins differ between the CPU and GPU forms (docs/gpu.md)
-        self.form: Form = "one_thread" if header["device"]["kind"] == "cpu" else "frontier"
 
     def trials(self, trial_id: Any) -> Trials:
         """The trials with these ids, on the evaluator's device.
@@ -169,8 +166,7 @@ class Judge:
         every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
         padded = None if motions is None else motions.padded(every, scene.device)
         names = TrialNames.of(scene)
-        with planning_form(self.form):
-            return judged_tables(self.evaluator, trials, answers, padded, stored, names, self.loop)
+        return judged_tables(self.evaluator, trials, answers, padded, stored, names, self.loop)
 
 
 def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
@@ -321,8 +317,7 @@ def _differing_answers(
 ) -> tuple[list[Difference], set[int]]:
     """The trials to which the method now gives another answer than the stored one, and the ids of those
     whose answers do not have the same bits."""
-    with planning_form(judge.form):
-        again = job.predict(judge.trials(ids), None).to("cpu")
+    again = job.predict(judge.trials(ids), None).to("cpu")
     place = {int(trial_id): i for i, trial_id in enumerate(ids)}
     rows = [place[i] for i in poses["trial_id"].to_pylist()]
     off = np.full(len(ids), np.inf)

@@ -14,8 +14,6 @@ from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.closed_loop.episodes import Loop
 from r2h_batch.closed_loop.moving import ReceiverMotion
-from r2h_batch.judge.frontier.form import planning_form
-from r2h_batch.methods import random
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import load_run
@@ -97,24 +95,6 @@ def test_rows_of_a_method_that_changed_its_judge_when_it_was_imported_are_refuse
     assert main(["results", "reevaluate", "run"]) == 1
     assert "6 differ, 0 are equal" in capsys.readouterr().out
     assert "rj_liar" not in sys.modules, "nothing of the run's method is loaded"
-
-
-def test_rows_of_a_gpu_are_judged_again_in_the_form_of_a_gpu(folder, judge, monkeypatch):
-    forms = []
-
-    def noted(form):
-        forms.append(form)
-        return planning_form(form)
-
-    monkeypatch.setattr(again, "planning_form", noted)
-    ids = np.arange(2)
-    answer = random.predict(judge.trials(ids), judge.evaluator.scene, seed=7)
-    poses = [x.numpy() for x in (answer.T_obj_ee, answer.T_world_ee)]
-    run = copy(load_run(folder))
-    object.__setattr__(run, "header", run.header | {"device": {"kind": "cuda", "name": "a GPU"}})
-    for one in (judge, Judge(run)):
-        one.tables(ids, *poses)
-    assert forms == ["one_thread", "frontier"]
 
 
 def as_success(row):
