@@ -137,6 +137,8 @@ Header = _record(
     trials=Annotated[dict[Split, Count], Field(min_length=1)],
     configuration=_Configuration,
     digests=_record(trials=Text),
+    # what `digests.code` was made of: room of the package -> digest
+    code_parts=(dict[Text, Hash], _ABSENT),
     seed=Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)],
     device=_record(kind=Text, name=Text),
     versions=_Versions,
@@ -241,8 +243,16 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             inner: list[str] = []
             if isinstance(x, Mapping) and isinstance(y, Mapping):
                 inner = sorted(k for k in {**x, **y} if x.get(k) != y.get(k))
+                inner = [_code_of(old, new) if k == "code" else k for k in inner]
             names.append(f"{key} ({', '.join(inner)})" if inner else key)
     return names
+
+
+def _code_of(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:
+    """The digest of the code in words, with the rooms of the package in which two headers differ."""
+    a, b = (header.get("code_parts") or {} for header in (old, new))
+    rooms = [k for k in sorted({**a, **b}) if a and b and a.get(k) != b.get(k)]
+    return f"code in {' and '.join(rooms)}" if rooms else "code"
 
 
 def check_header(data: Mapping[str, Any], path: Path) -> dict[str, Any]:

@@ -3,23 +3,27 @@ run.json and bench."""
 
 import hashlib
 import io
+import json
 import os
 import platform
 import subprocess
 from collections.abc import Iterable
 from functools import lru_cache
 from importlib import metadata
+from itertools import groupby
 from pathlib import Path
 from typing import cast
 
 from r2h_batch.base.io.read import open_file
+from r2h_batch.base.own_imports import PACKAGE, imported_by, is_package, modules_of
 from r2h_batch.base.package import FOLDERS, ROOT, VERSION
 from r2h_batch.base.registry import ENGINES
 
 PACKAGES = sorted(
     {
-        *("numpy", "pyarrow", "pytorch-kinematics", "scikit-learn", "scipy", "torch", "trimesh"),
-        *("warp-lang", *(package for engine in ENGINES for package in engine.packages)),
+        *("airo-models", "libigl", "networkx", "numpy", "onnxruntime", "pyarrow"),
+        *("pytorch-kinematics", "scikit-learn", "scipy", "torch", "trimesh", "warp-lang"),
+        *(package for engine in ENGINES for package in engine.packages),
     }
 )
 """Packages whose version can change a verdict or a time."""
@@ -37,48 +41,71 @@ def versions() -> dict[str, str]:
     return found
 
 
-ONLY_READ_ROWS = (
-    *(
-        "report",
-        "view",
-        "commands",
-        "sweep/results",
-        "sweep/study",
-        "sweep/ls.py",
-        "sweep/submission.py",
-        "sweep/submission_judge.py",
-        "closed_loop/transfer",
-    ),
-    *("base/loggers.py", "base/io/log.py", "base/command_line.py", "__main__.py"),
+ROOTS = (
+    *("protocols.draw", "protocols.load"),  # which trials there are
+    *("methods", "observe", "closed_loop"),  # who answers, what is seen, how the answer is played
+    *("evaluate", "sweep.scoring"),  # the judge, and what hands it trials and stores its rows
 )
-"""Folders and modules of the package that look at rows or at command lines: no row depends on
-them."""
+"""Modules, and packages with all that lies in them, that decide rows: what they import decides them too."""
+
+NOT_FOLLOWED = {
+    ("*", "base.command_line"): "says what was wrong with a command line",
+    ("*", "base.io.log"): "prints lines",
+    ("*", "base.loggers"): "sends finished tables to experiment trackers",
+    ("protocols.benchmark", "report.compare.stored"): "a benchmark offers the shipped rows",
+    ("sweep.jobs", "report.trained"): "the word under which a method's TRAINED_ON is stored",
+    ("closed_loop.registered", "view.environment"): "draws an episode",
+}
+"""(importing, imported) module ("*": any) -> why no row depends on the imported one there. Whatever else is imported counts."""
 
 DATA = (".json", ".npy", ".npz", ".safetensors")
 
 
-@lru_cache(maxsize=1)
 def code_digest() -> str:
-    """sha256 over what decides rows: the judging modules, the kernels, the committed data, wherever
-    they are installed.
+    """sha256 over what decides rows: `deciding_files`, wherever they are installed.
 
-    Not over what only reads rows (`ONLY_READ_ROWS`), nor over the scripts that build the data: a
-    comment in a chart must not make two runs incomparable, or a sweep that is half done impossible
-    to go on with.
+    A comment in a chart must not make two runs incomparable, or a sweep that is half done impossible to go on with.
     """
-    files = {p.relative_to(FOLDERS[0]): p for p in _sources(FOLDERS[0], (".py", *DATA))}
-    for name, kinds in (("kernels", (".py", ".h")), ("assets", DATA)):
-        # in a wheel inside the package, in a checkout beside it
-        folder = next((f for f in FOLDERS if (f / name).is_dir()), None)
-        files = {key: p for key, p in files.items() if key.parts[0] != name}
-        if folder is not None:
-            files |= {p.relative_to(folder): p for p in _sources(folder / name, kinds)}
-    judging = (
-        k
-        for k in files
-        if not any(map(k.is_relative_to, ONLY_READ_ROWS)) and k.name != "__main__.py"
-    )
-    return file_digest(files[key] for key in sorted(judging))
+    return hashlib.sha256(json.dumps(code_parts()).encode()).hexdigest()
+
+
+@lru_cache(maxsize=1)
+def code_parts() -> dict[str, str]:
+    """Room of the package, or file beside the rooms -> sha256 over its files among `deciding_files`: what changed, where
+    two digests of the code differ."""
+    files, parts = deciding_files(), {}
+    for name, keys in groupby(sorted(files), key=lambda key: key.parts[0]):
+        parts[name] = file_digest(files[key] for key in keys)
+    return parts
+
+
+def deciding_files() -> dict[Path, Path]:
+    """Place in the package -> file of all that decides rows: the modules on which the draw of trials, the methods,
+    cameras, the closed loop and the evaluator depend (`ROOTS`), the data and native headers in their folders, and the
+    committed assets. Not the scripts that build the assets, and not what only reads rows.
+    """
+    modules = modules_of(FOLDERS)
+    not_followed = {
+        (of if of == "*" else f"{PACKAGE}.{of}", f"{PACKAGE}.{name}") for of, name in NOT_FOLLOWED
+    }
+    roots = [f"{PACKAGE}.{root}" for root in ROOTS]
+    found = imported_by(roots, modules, not_followed=not_followed)
+    deciding = [modules[name] for name in found]
+    packages = {file.parent for file in modules.values() if is_package(file)}
+    rooms = {file.parent for file in deciding if is_package(file)}
+    # kernels/ and assets/: in a wheel inside the package, in a checkout beside it
+    for folder in (FOLDERS[0], *(f / name for f in FOLDERS[1:] for name in ("kernels", "assets"))):
+        for path in _sources(folder, (*DATA, ".h")):
+            room = next((p for p in path.parents if p in packages), None)
+            if room in rooms or _key(path).parts[0] == "assets":
+                deciding.append(path)
+    return {_key(file): file for file in deciding}
+
+
+def _key(file: Path) -> Path:
+    """The place of a file in the package: the same in a checkout and in a wheel."""
+    inside = FOLDERS[0] if file.is_relative_to(FOLDERS[0]) else FOLDERS[-1]
+    return file.relative_to(inside)
 
 
 def _sources(folder: Path, kinds: tuple[str, ...]) -> Iterable[Path]:

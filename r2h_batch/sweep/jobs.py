@@ -200,6 +200,7 @@ def prepare(
             **({} if robot == load_robot() else {"robot": robot.digest}),
             **({} if loop is None else {"closed_loop": loop.identity}),
         },
+        "code_parts": provenance.code_parts(),
         "robot": about_robot,
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
