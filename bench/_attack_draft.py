@@ -1,5 +1,5 @@
 """Attacks on files that came with later parts of the program: files beside the shards, told seeds, the draft from the table,
-resumed runs, tables of real robots, rigs that see, release policies. Kinds of bench/attacks.py."""
+resumed runs, tables of real robots, rigs that see. Kinds of bench/attacks.py."""
 
 import io
 import json
@@ -511,75 +511,6 @@ RIGS: dict[str, Damage] = {
 }
 
 
-def policy(path: Path) -> None:
-    """A release policy that never lets go, and a run beside it."""
-    shutil.copytree(runs() / "run", path.parent / "run")
-    path.write_text(
-        "import numpy as np, torch\nfrom r2h_batch.closed_loop.transfer.release import Action\n\n"
-        "class Mine:\n    def __init__(self, robot):\n        self.robot = robot\n\n"
-        "    def __call__(self, seen):\n        return NOW\n".replace("NOW", SOUND)
-    )
-
-
-SOUND = "Action(torch.zeros(len(seen.force), dtype=torch.bool))"
-
-
-def transferred(path: Path) -> int:
-    """Asks it."""
-    words = ["--method", "oracle", "--scenario", "take", "--processes", "1"]
-    return command(["results", "transfer", str(path.parent / "run"), *words, "--release", f"{path}:Mine"])
-
-
-def says(answer: str) -> Damage:
-    """Another answer."""
-    return lambda p: p.write_text(p.read_text().replace(SOUND, answer))
-
-
-POLICIES: dict[str, Damage] = {
-    "it says a number of each row": says("Action(torch.ones(len(seen.force)))"),
-    "it says NaN": says("Action(torch.full((len(seen.force),), float('nan')))"),
-    "it says one row": says("Action(torch.ones(1, dtype=torch.bool))"),
-    "it squeezes 7 times as hard as it can": says(
-        f"{SOUND[:-1]}, squeeze=torch.full((len(seen.force),), 7.0, dtype=torch.float64))"
-    ),
-    "it squeezes by NaN": says(
-        f"{SOUND[:-1]}, squeeze=torch.full((len(seen.force),), float('nan'), dtype=torch.float64))"
-    ),
-    "it moves the hand 1 km away": says(
-        f"{SOUND[:-1]}, shift=torch.full((len(seen.force), 3), 1e3, dtype=torch.float64))"
-    ),
-    "it moves the hand by NaN": says(
-        f"{SOUND[:-1]}, shift=torch.full((len(seen.force), 3), float('nan'), dtype=torch.float64))"
-    ),
-    "it says a list": says("[True]"),
-    "it says the class": says("Action"),
-    "it says itself": says("self"),
-    "it says a row too many": says("Action(torch.ones(len(seen.force) + 1, dtype=torch.bool))"),
-    "it says 10^9 rows": says("Action(torch.ones(1, dtype=torch.bool).expand(10**9))"),
-    "it says an array": says("Action(np.ones(len(seen.force), bool))"),
-    "it writes into what it sees": says(f"(seen.force.fill_(9.0), {SOUND})[1]"),
-    "it has no __call__": cells(("__call__", "call")),
-    "it takes no robot": cells(
-        ("def __init__(self, robot):\n        self.robot = robot", "def __init__(self):\n        pass")
-    ),
-    "it is a function": cells(
-        (
-            "class Mine:\n    def __init__(self, robot):\n        self.robot = robot\n\n    def __call__(self, seen)",
-            "def Mine(seen)",
-        )
-    ),
-    "it is nothing": cells(("class Mine", "class Yours")),
-    "it raises when it is made": cells(("self.robot = robot", "raise ValueError('a\\x1b[2J\\nb')")),
-    "it raises when it is asked": says("1 / 0"),
-    "it raises what cannot be printed": cells(
-        ("return ", "raise type('E', (Exception,), {'__str__': lambda s: 1 / 0})() #")
-    ),
-    "it ends the program when it is read": rewritten(lambda d: b"raise SystemExit(0)\n" + d),
-    "it has a syntax error": rewritten(lambda d: d + b"def (:\n"),
-    "it recurses for ever": says("self(seen)"),
-}
-
-
 def some_people(path: Path) -> None:
     """Two shipped people as a table."""
     people = built_in_people()
@@ -612,5 +543,4 @@ def kinds() -> dict[str, Kind]:
         "lengths of people": Kind(".csv", some_people, read_people, PERSON),
         "tensors of weights": Kind(".safetensors", weights, read_weights, TENSORS),
         "rig of a sweep": Kind(".toml", lambda p: p.write_text(RIG), seen, RIGS),
-        "release policy": Kind(".py", policy, transferred, POLICIES),
     }

@@ -71,6 +71,35 @@ class Report:
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
 
 
+class Parts:
+    """Figures that are measured once: a bench that was stopped goes on with those that are missing.
+
+    Args:
+        folder: where they are kept; None: nowhere.
+        of: what they depend on. A part of anything else is measured again.
+    """
+
+    def __init__(self, folder: Path | None, of: dict[str, Any]) -> None:
+        self.folder, self.of = folder, of
+        if folder is not None:
+            folder.mkdir(parents=True, exist_ok=True)
+
+    def get(self, name: str, measured: Callable[[], Any]) -> Any:
+        """A part as it is kept, or measured and kept."""
+        path = None if self.folder is None else self.folder / f"{name.replace('/', '_')}.json"
+        if path is not None and path.is_file():
+            kept = json.loads(path.read_text())
+            if kept["of"] == self.of:
+                print(name, "is kept in", path, flush=True)
+                return kept["part"]
+        begin = time.time()
+        part = measured()
+        print(f"{name}: {time.time() - begin:.0f} s", flush=True)
+        if path is not None:
+            path.write_text(json.dumps({"of": self.of, "part": part}))
+        return part
+
+
 def swept(folder: Path, *words: object) -> Path:
     """Runs a sweep into a folder, or goes on with it, without its table; the folder."""
     from r2h_batch.sweep.command import main

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-from _attack import SHORT_SWEEP, TAG, Attack, Command, Ended, Place, small, solved
+from _attack import SHORT_SWEEP, TAG, Attack, Command, Ended, Place, small
 from _strange_answers import digest, expected, nothing_passed, poses
 
 ANSWER = """
@@ -305,29 +305,6 @@ def seen(body: str) -> Attack:
 # ---- policies, environments, functions: what Python takes
 
 
-def policy(body: str, must: str = "either") -> Attack:
-    """A release policy of a stranger."""
-
-    def does(place: Place) -> list[Command]:
-        solved(place)
-        (place.work / "mine.py").write_text(
-            "import os\nclass Mine:\n    def __init__(self, robot):\n        pass\n"
-            f"    def __call__(self, seen):\n        {body}\n"
-        )
-        words = "results transfer run --method oracle --release mine.py:Mine --scenario take --processes 1"
-        return [words.split()]
-
-    return Attack(does, must)
-
-
-POLICIES: dict[str, str] = {
-    "it answers with nothing": "return None",
-    "it raises with an escape": "raise ValueError('a\\x1b[2J\\nb')",
-    "it ends the process": "os._exit(0)",
-    "it answers with a number": "return 1e300",
-}
-
-
 def called(make: Callable[[], object], must: str = "refused") -> Attack:
     """A call in Python."""
     return Attack(lambda place: [make], must)
@@ -381,7 +358,6 @@ KINDS = {
         for k, v in HEADS.items()
     },
     "methods that see": {k: seen(v) for k, v in SEEN.items()},
-    "release policies": {k: policy(v) for k, v in POLICIES.items()},
     "seeds of an environment": {k: called(env(v)) for k, v in SEEDS.items()},
 }
 _ = (os, small)

@@ -73,7 +73,7 @@ FILES = (
     "ids.csv",
     "methods/random.json",
 )
-FOLDERS = ("methods", "shards", "shards/random", ".claims", "quarantine", "transfer")
+FOLDERS = ("methods", "shards", "shards/random", ".claims", "quarantine", "reception")
 LINKS: dict[str, Attack] = {
     **{f"{name} is a link to a file beside the run": linked(name, victim) for name in FILES},
     **{f"{name} is a second name of a file beside the run": linked(name, victim, hard=True) for name in FILES[1:6]},

@@ -308,7 +308,7 @@ def _ipc(run: Path) -> None:
 
 
 def side(kind: str, columns: Callable[[int], dict[str, Any]]) -> Attack:
-    """A transfer whose rows, trials and successes are right and whose other columns are a stranger's."""
+    """A file whose rows, trials and successes are right and whose other columns are a stranger's."""
 
     def does(place: Place) -> list[Command]:
         import pyarrow as pa
@@ -322,19 +322,13 @@ def side(kind: str, columns: Callable[[int], dict[str, Any]]) -> Attack:
         n = len(rows)
         base = {
             "trial_id": pa.array([r["trial_id"] for r in rows], pa.int64()),
-            "release": ["load-share"] * n,
-            "scenario": ["take"] * n,
-            "person": pa.array([0] * n, pa.int16()),
             "success": [r["outcome"] == "success" for r in rows],
+            "evaluated": [True] * n,
             "received": [True] * n,
-            "outcome": ["taken"] * n,
         }
         table = pa.table({**base, **columns(n)})
         (run / kind).mkdir(exist_ok=True)
-        about = {
-            key: json.dumps({"rows": stored.digest("random")}).encode()
-            for key in (b"r2h_batch", b"transfer", b"made_of")
-        }
+        about = {key: json.dumps({"rows": stored.digest("random")}).encode() for key in (b"r2h_batch", b"made_of")}
         pq.write_table(table.replace_schema_metadata(about), run / kind / "random.parquet")
         return [VERIFY, REPORT, ["report", "run", "--format", "html", "--out", "told.html"]]
 
@@ -342,14 +336,10 @@ def side(kind: str, columns: Callable[[int], dict[str, Any]]) -> Attack:
 
 
 SIDES: dict[str, Attack] = {
-    "a policy that is a tag": side("transfer", lambda n: {"release": [TAG] * n}),
-    "a scenario that is a formula": side("transfer", lambda n: {"scenario": ["=1+1"] * n}),
-    "an outcome that nobody knows": side("transfer", lambda n: {"outcome": ["won"] * n}),
-    "persons of -1": side("transfer", lambda n: {"person": [-1] * n}),
-    "forces of NaN": side("transfer", lambda n: {"peak_n": [float("nan")] * n, "share": [float("nan")] * n}),
-    "forces of 1e300": side("transfer", lambda n: {"peak_n": [1e300] * n, "share": [-1e300] * n}),
-    "1,000 more columns": side("transfer", lambda n: {f"x{k}": [0] * n for k in range(1000)}),
-    "held: columns of transfers": side("held", lambda n: {}),
+    "a word that is a tag": side("reception", lambda n: {"word": [TAG] * n}),
+    "efforts of NaN": side("reception", lambda n: {"effort": [float("nan")] * n}),
+    "1,000 more columns": side("reception", lambda n: {f"x{k}": [0] * n for k in range(1000)}),
+    "held: columns of reception": side("held", lambda n: {}),
     "viewed: a share of 2": side("viewed", lambda n: {"share": [2.0] * n}),
     "picked: reasons that are tags": side(
         "picked", lambda n: {"pick_reason": [TAG] * n, "picked": [True] * n, "pick_m": [1.0] * n}

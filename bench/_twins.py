@@ -14,10 +14,9 @@ from people_twin import episode_of, reception_of
 from pick_twin import PickTwin
 from planning_twins import Checker, checker_of, dense, let_collide, motion_samples, ompl_solve, recheck, staged
 from problems import Batch, Problems, make_batch, solve
-from transfer_twin import Start, held_of, transfer_of
 
 __all__ = [
-    "Again", "AgainBelieved", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged", "Start",
-    "checker_of", "dense", "episode_of", "grasp_cases", "held_of", "let_collide", "make_batch", "motion_samples", "ompl_solve",
-    "oracle", "reception_of", "recheck", "solve", "staged", "transfer_of", "winding_number",
+    "Again", "AgainBelieved", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged",
+    "checker_of", "dense", "episode_of", "grasp_cases", "let_collide", "make_batch", "motion_samples", "ompl_solve",
+    "oracle", "reception_of", "recheck", "solve", "staged", "winding_number",
 ]  # fmt: skip

@@ -171,13 +171,12 @@ MESHES["GLB mesh"] = Kind(
 
 @cache
 def work() -> Path:
-    """A folder with a small run, its transfers as a stranger may write them, and its submission."""
+    """A folder with a small run, and its submission."""
     folder = Path(tempfile.mkdtemp(prefix="attacks-"))
     os.chdir(folder)
     words = "--benchmark r2h-v1 --method random --trials 3 --sim none --out run"
     with redirect_stdout(io.StringIO()):
         sweep(words.split())
-    forge_transfers(folder / "run")
     (folder / "run" / "ids.csv").write_text("trial_id,id,variant\n0,a,x\n2,b,x\n4,c,x\n1,d,y\n3,e,y\n5,f,y\n")
     with zipfile.ZipFile(folder / "run.zip", "w") as archive:
         archive.writestr("submission.json", "{}")
@@ -185,32 +184,6 @@ def work() -> Path:
             if file.is_file() and file.parent.name in ("run", "methods", "random"):
                 archive.write(file, Path("run") / file.relative_to(folder / "run"))
     return folder
-
-
-def forge_transfers(run: Path) -> None:
-    """Transfers of a run as their reader takes them."""
-    import pyarrow as pa
-
-    from r2h_batch.report.transfers import MADE_OF
-    from r2h_batch.runs.side import side_writer
-
-    stored = load_run(run)
-    rows = stored.trials("random", ["trial_id", "outcome"]).to_pylist()
-    n = len(rows)
-    table = pa.table(
-        {
-            "trial_id": pa.array([r["trial_id"] for r in rows], pa.int64()),
-            "release": ["load-share"] * n,
-            "scenario": ["take"] * n,
-            "person": pa.array([0] * n, pa.int16()),
-            "success": [r["outcome"] == "success" for r in rows],
-            "received": [True] * n,
-            "outcome": ["taken"] * n,
-        }
-    )
-    about = {MADE_OF: {"rows": stored.digest("random")}}
-    with side_writer(run / "transfer" / "random.parquet", table.schema, about) as writer:
-        writer.write(table)
 
 
 def of_run(name: str) -> Callable[[Path], object]:
@@ -398,7 +371,6 @@ def kinds() -> dict[str, Kind]:
         "run.json": Kind(".json", of_run("run.json"), reported, JSON),
         "a method's file": Kind(".json", of_run("methods/random.json"), reported, JSON),
         "shard": Kind(".parquet", of_run(shard), reported, table),
-        "transfers": Kind(".parquet", of_run("transfer/random.parquet"), reported, table),
         "ids.csv": Kind(".csv", of_run("ids.csv"), labelled, CSV),
         "submission": Kind(".zip", lambda p: p.write_bytes((work() / "run.zip").read_bytes()), submission, ZIP),
         "grasps": Kind(".npz", some_grasps, read_grasps, NPZ),

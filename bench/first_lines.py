@@ -55,7 +55,6 @@ COMMANDS = {
     "results viewed": "results viewed {run} --method contact",
     "results reception": "results reception {simulated}",
     "results held": "results held {simulated}",
-    "results transfer": "results transfer {simulated}",
     "turn": "turn {simulated} --method oracle",
     "submit": "submit {run} --rows 100 --out {new}/run.zip",
     "leaderboard": "leaderboard {new}/run.zip --rows 100 --least 0 --out {new}/board.html",

@@ -8,9 +8,7 @@ Of each set N trials a split and method are swept, with details and paths. Rows,
 `tests/support/judge_twin.py` has an own closing law, hulls, kinematics and time law, and says what it shares: trials, posed
 hands, meshes, thresholds, and the numbers of the robot's file. Of set `error` the errors too are shared, of preset paper where
 the planner's hand stood. It judges opening and shift, the five criteria, flags, outcome, where a path begins and ends and how
-long it takes. Sets `reception` and `closed` judge what people do (`people_twin.py`), set `held` what `results held` says of the
-rows, set `transfer` what `results transfer` says of those that are received (`transfer_twin.py`; policies and scenarios:
-`CASES`). There `open` counts statements that half the step changes.
+long it takes. Sets `reception` and `closed` judge what people do (`people_twin.py`).
 
 A margin that is a distance must be right to 0.1 mm, one that is a bound must be no more than the overlap that is found, one
 that is a cap must be no more than the clearance. A verdict is wrong where the other code says the opposite by more than 0.1 mm.
@@ -29,28 +27,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import torch
 from _report import Report, arguments
-from _twins import Again, Finding, Start, episode_of, held_of, reception_of, transfer_of
+from _twins import Again, Finding, episode_of, reception_of
 from meshes import drawn
 
 from r2h_batch.closed_loop.env import HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
-from r2h_batch.closed_loop.transfer.handed import handed_of
-from r2h_batch.closed_loop.transfer.simulate import noise_of
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods.predictors import PredictorNoise
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.sweep.results import held, transfer
-from r2h_batch.sweep.results.reception import judged_again
 from r2h_batch.sweep.results.reevaluation import Judge
 from r2h_batch.trials.noise import estimated_hand
-from r2h_batch.types import ScoreInputs
 
 TOLERANCE_M = 1e-4
 V1 = ["--benchmark", "r2h-v1"]
@@ -66,22 +58,12 @@ SETS = {
     "error": [*V1, "--set", "execution_error=5mm,1deg"],
     "reception": V1,
     "closed": V1,
-    "held": ["--benchmark", "r2h-v2"],
-    "transfer": ["--benchmark", "r2h-v2"],
 }
-CASES: dict[str, Any] = {  # all that the command line names
-    "release": ("load-share", "threshold", "timer", "probe", "never"),
-    "scenario": ("take", "touch", "nobody", "pull-early", "weak"),
-    "persons": 1,
-}
-BY_NAME = ("held", "transfer")
-"""Sets whose statements are counted by their names."""
 METHODS = ("fc", "handover-va", "random")
 MEASURES = (
     "bench/judge_again.py",
     "tests/support/judge_twin.py",
     "tests/support/people_twin.py",
-    "tests/support/transfer_twin.py",
     "kernels",
     "r2h_batch/judge",
     "r2h_batch/scene",
@@ -101,17 +83,9 @@ class Tally:
     bounds: int = 0
     loose: list[float] = field(default_factory=list)
     beyond: int = 0
-    open: int = 0
 
     def add(self, found: Finding, where: str) -> None:
         """One statement of a row beside what was found."""
-        if found.kind == "open":
-            self.open += 1
-            print(
-                f"  {where} {found.name}: says {found.says}, found {found.true}, and half the step says another",
-                flush=True,
-            )
-            return
         self.rows += 1
         if found.kind == "fact":
             self.wrong += bool(found.wrong)
@@ -162,17 +136,11 @@ def again_of(judge: Judge, trials: Any, row: dict[str, Any]) -> Again:
     return Again(scene, config, trials, row, T_obj_ee[0], T_world_ee[0], seen)
 
 
-def judged(
-    name: str, judge: Judge, rows: dict[int, dict[str, Any]], beside: Path | None
-) -> Iterator[tuple[int, Iterator[Finding]]]:
-    """(trial id, what was found) of a method's rows in a set; `beside`: the file of set `held`."""
+def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator[tuple[int, Iterator[Finding]]]:
+    """(trial id, what was found) of a method's rows in a set."""
     ids = torch.tensor(list(rows))
     trials = judge.trials(ids.numpy())
     twins = {i: again_of(judge, trials[torch.tensor([k])], row) for k, (i, row) in enumerate(rows.items())}
-    if beside is not None:
-        says = {row["trial_id"]: row for row in pq.read_table(beside).to_pylist()}
-        yield from ((i, held_of(twin, says.get(i, {}))) for i, twin in twins.items())
-        return
     if name not in ("reception", "closed"):
         yield from ((i, twin.findings()) for i, twin in twins.items())
         return
@@ -197,30 +165,6 @@ def poses_of(rows: dict[int, dict[str, Any]]) -> list[torch.Tensor]:
     ]
 
 
-def transferred(run: Any, method: str, judge: Judge, file: Path) -> Iterator[tuple[str, Iterator[Finding]]]:
-    """(trial id and case, what was found) of the transfers of a method's rows that are received."""
-    scene = judge.evaluator.scene
-    says: dict[int, list[dict[str, Any]]] = {}
-    for row in pq.read_table(file).to_pylist():
-        if row["received"]:
-            says.setdefault(row["trial_id"], []).append(row)
-    for ids, scores, _ in judged_again(run, method, judge):
-        assert isinstance(scores.inputs, ScoreInputs)
-        handed = handed_of(reception(scores), ids, scores.inputs.trials, scene)
-        noise = noise_of(handed.trial_id, 0, 0)
-        for k, trial_id in enumerate(handed.trial_id.tolist()):
-            for row in says.pop(trial_id):
-                own = {name: float(row[f"person_{name}"]) for name in ("grip", "arm_n_m", "pull_n", "pause_s", "age")}
-                start = Start(
-                    scene.objects[int(handed.object_index[k])], handed.T_gripper_obj[k], float(handed.opening_m[k]),
-                    handed.down[k], handed.T_gripper_slip[k], handed.capacity[k], float(handed.total_n[k]), handed.pull[k],
-                    handed.point[k], handed.press[k], handed.R_world_gripper[k], noise[:, k], **own,
-                )  # fmt: skip
-                yield f"{trial_id} {row['release']} {row['scenario']}", transfer_of(start, row)
-    if says:
-        raise SystemExit(f"{file}: trial {min(says)} is received there, and not here")
-
-
 def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: int) -> tuple[int, dict[str, Tally]]:
     """Sweeps a set and judges all its rows again; how many, and what became of each criterion, and of facts."""
     own = ["--objects", str(meshes), "--splits", "S0"] if name == "unseen" else []
@@ -243,21 +187,11 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     run = load_run(folder)
     judge = Judge(run, given=BenchmarkChoice(objects=str(meshes)) if own else None)
     rows, tallies = 0, dict[str, Tally]()
-    beside: dict[str, Path] = {}
-    if name == "held":
-        beside = held.write_tables(run, BenchmarkChoice(), count=1, device="cpu")
-    if name == "transfer":
-        beside = transfer.write_tables(run, BenchmarkChoice(), **CASES, seed=0, count=1, sim="mujoco", device="cpu")
     for method in run.methods:
-        again: Iterator[tuple[int | str, Iterator[Finding]]]
-        if name == "transfer":
-            again = transferred(run, method, judge, beside[method])
-        else:
-            again = judged(name, judge, rows_of(run, method), beside.get(method))
-        for which, findings in again:
+        for which, findings in judged(name, judge, rows_of(run, method)):
             rows += 1
             for finding in findings:
-                key = "facts" if finding.kind == "fact" and name not in BY_NAME else finding.name
+                key = "facts" if finding.kind == "fact" else finding.name
                 tallies.setdefault(key, Tally()).add(finding, f"{name} {method.split(' ')[0]} {which}")
     return rows, tallies
 
@@ -273,25 +207,12 @@ def main() -> None:
         meshes.mkdir()
         for thing, mesh in drawn().items():
             mesh.export(meshes / f"{thing}.obj")
-        if {*args.sets} - {*BY_NAME}:
-            report.add("judge_again.trials", args.trials)
+        report.add("judge_again.trials", args.trials)
         for name in args.sets:
             rows, tallies = judge_set(name, SETS[name], Path(kept) / name, meshes, args.trials)
             margins = [t for criterion, t in tallies.items() if criterion != "facts"]
             whole: dict[str, float] = {"rows": rows, "margins": sum(t.rows for t in margins)}
             whole["wrong"] = sum(t.wrong for t in margins)
-            if name in BY_NAME:
-                whole = {"trials": args.trials, "rows": rows}
-                tallied = tallies.values()
-                whole |= {"statements": sum(t.rows for t in tallied), "wrong": sum(t.wrong for t in tallied)}
-                whole["open"] = sum(t.open for t in tallied)
-                for figure, value in whole.items():
-                    report.add(f"judge_again.{name}.{figure}", value)
-                for statement, t in tallies.items():
-                    for figure, value in (("rows", t.rows), ("wrong", t.wrong), ("open", t.open)):
-                        report.add(f"judge_again.{name}.{statement}.{figure}", value)
-                report.write(args.json)
-                continue
             whole["bounds_that_do_not"] = sum(t.beyond for t in margins)
             whole["largest_difference_mm"] = round(max((t.largest for t in margins), default=0.0), 4)
             for figure, value in whole.items():

@@ -91,9 +91,7 @@ FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
 ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
 """Shipped rows whose objects receivers try to take; the first is compared with the second."""
-TRANSFER = ("load-share", "take", 0)
-"""Release policy, scenario and person of the transfers, as `r2h-batch results transfer` has them by default."""
-HANDED = ("received", "received and success", "taken", "taken and success")
+HANDED = ("received", "received and success")
 SPREAD = ("S0", "S1", "S0+S1")
 """Splits that a row of the table is of."""
 
@@ -268,40 +266,26 @@ def step_profile(place: Path) -> dict[str, float]:
 
 
 def handed_over(folder: Path, trials: int) -> dict[str, Any]:
-    """Ends of the stored rows' first trials of each split: received, taken, each also with success; of both methods, and
-    paired on the trial."""
-    from r2h_batch.closed_loop.transfer.cases import Case, Simulator, processes
-    from r2h_batch.closed_loop.transfer.handed import handed_of
-    from r2h_batch.closed_loop.transfer.model import Setting
+    """Whether the stored rows' first trials of each split are received, also with success; of both methods, and paired on the
+    trial."""
     from r2h_batch.judge.reception import reception
     from r2h_batch.report.compare.stored import load_baselines
     from r2h_batch.sweep.results.reception import judged_again
     from r2h_batch.sweep.results.reevaluation import Judge
-    from r2h_batch.sweep.results.transfer import table_of
 
     run = load_baselines(folder).only(BESIDE)
     judge = Judge(run)
     scene, asked = judge.evaluator.scene, judge.trials(np.arange(2 * trials))
-    simulator = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)
     ends: dict[str, dict[str, np.ndarray]] = {}
-    with processes(simulator, 1) as transfer:
-        for name in sorted(run.methods, key=lambda n: [n.lower().startswith(word) for word in BESIDE], reverse=True):
-            own = {k: np.zeros(2 * trials, bool) for k in ("success", "received", "taken", "undecided")}
-            for trial_id, scores, won in judged_again(run, name, judge):
-                first = np.flatnonzero(trial_id < 2 * trials)
-                some = scores[torch.from_numpy(first)]
-                own["success"][trial_id[first]] = [won[i] for i in trial_id[first].tolist()]
-                assert some.inputs is not None
-                handed = handed_of(reception(some), trial_id[first], some.inputs.trials, scene)
-                own["received"][handed.trial_id] = True
-                for rows, made in transfer([handed], [Case(*TRANSFER)]):
-                    table = table_of(rows, made, won)
-                    own["taken"][rows.trial_id] = [o == "taken" for o in table["outcome"].to_pylist()]
-                    own["undecided"][rows.trial_id] = table["undecided"].to_pylist()
-            ends[name.partition(" (")[0]] = own | {
-                f"{k} and success": own[k] & own["success"] for k in ("received", "taken")
-            }
-            print(name, {k: int(v.sum()) for k, v in own.items()}, flush=True)
+    for name in sorted(run.methods, key=lambda n: [n.lower().startswith(word) for word in BESIDE], reverse=True):
+        own = {k: np.zeros(2 * trials, bool) for k in ("success", "received")}
+        for trial_id, scores, won in judged_again(run, name, judge):
+            first = np.flatnonzero(trial_id < 2 * trials)
+            some = scores[torch.from_numpy(first)]
+            own["success"][trial_id[first]] = [won[i] for i in trial_id[first].tolist()]
+            own["received"][trial_id[first]] = reception(some).received.numpy()
+        ends[name.partition(" (")[0]] = own | {"received and success": own["received"] & own["success"]}
+        print(name, {k: int(v.sum()) for k, v in own.items()}, flush=True)
     splits = np.array(asked.splits)
     kinds = np.array([scene.objects[i].category for i in asked.object_index.tolist()])
     rates = {
@@ -310,8 +294,7 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     }
     ours, theirs = ends.values()
     paired = {s: {k: paired_over_categories(ours[k], theirs[k], splits, kinds, s) for k in HANDED} for s in SPREAD}
-    undecided = {name: int(own["undecided"].sum()) for name, own in ends.items()}
-    return {"of": trials, "rates": rates, "paired": paired, "undecided": undecided}
+    return {"of": trials, "rates": rates, "paired": paired}
 
 
 def over_categories(hit: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str) -> list[float]:
@@ -704,20 +687,16 @@ folder. An item is 256 trials.
 TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
   {high:+.1f} points: {mark}.
 """
-NOT_LESS = """People do not take what {first} hands over less often than what {second} hands over. Whether they take it more often
-is not decided: the difference is {net} trials, and more transfers than that are undecided."""
 RECEIVED = """## Can the person take it?
 
 Percent of the first {of} shipped rows of each split (motion simulated). Received: the receiver could take the object
-([reception](reception.md)). Taken: the receiver took it ([transfer](transfer.md), policy `load-share`, one person a trial). Both
-columns stand again with success of the trial. Brackets: the 95 % interval for all categories. The last three lines are {first}
-less {second} on the same trials, in points. Their parentheses count the trials that only {first} has, and those that only
-{second} has.
+([reception](reception.md)). The column stands again with success of the trial. Brackets: the 95 % interval for all categories.
+The last three lines are {first} less {second} on the same trials, in points. Their parentheses count the trials that only
+{first} has, and those that only {second} has.
 
 {table}
 
 {answer}
-{undecided} of the transfers are undecided ([what that means](../transfer.md#outcomes)).
 
 """
 POLICY_TIED = (
@@ -800,7 +779,7 @@ def turned_words(tests: Sequence[Mapping[str, Any]]) -> str:
 
 
 def received_words(own: Mapping[str, Any]) -> str:
-    """The section on receivers who take the object."""
+    """The section on receivers who can take the object."""
     lines, splits = [], {"S0+S1": "both"}
     for name, of in own["rates"].items():
         for s, rates in of.items():
@@ -809,19 +788,14 @@ def received_words(own: Mapping[str, Any]) -> str:
     for s, of in own["paired"].items():
         told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
         lines.append(["difference", splits.get(s, s), *told])
-    undecided = " and ".join(f"{n} ({name})" for name, n in own["undecided"].items())
-    taken = own["paired"]["S0+S1"]["taken"]
-    than = "more often than" if taken["low"] > 0 else "less often than" if taken["high"] < 0 else "about as often as"
-    answer = f"People take what {first} hands over {than} what {second} does."
-    net = abs(taken["only first"] - taken["only second"])
-    if taken["low"] > 0 and sum(own["undecided"].values()) > net:
-        answer = NOT_LESS.format(first=first, second=second, net=net)
+    got = own["paired"]["S0+S1"]["received"]
+    than = "more often than" if got["low"] > 0 else "less often than" if got["high"] < 0 else "about as often as"
+    answer = f"People can take what {first} hands over {than} what {second} does."
     return RECEIVED.format(
         answer=answer,
         of=own["of"],
         first=first,
         second=second,
-        undecided=undecided,
         table=markdown_table(["", "split", *HANDED], lines),
     )
 

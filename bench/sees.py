@@ -22,9 +22,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table, page_from, swept
+from _report import ROOT, Parts, made_by, markdown_table, page_from, swept
 from _source import digests
-from transfer import Parts
 
 PAGE = ROOT / "docs" / "results" / "sees.md"
 MEASURES = (

@@ -25,7 +25,6 @@ COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
     "first_lines": "bench/first_lines.py --out FOLDER",
-    "judge_physics": "bench/judge_again.py held transfer --trials 3",
     "long": "bench/soak.py long",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",

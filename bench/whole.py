@@ -22,20 +22,19 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, page_from, swept
+from _report import ROOT, Parts, made_by, markdown_table, page_from, swept
 from _source import digests
 from learn import over_categories, paired_over_categories
-from transfer import Parts
 
 PAGE = ROOT / "docs" / "results" / "whole.md"
 MEASURES = (
     "bench/whole.py",
     "kernels/judge",
     "kernels/plan",
-    "r2h_batch/closed_loop/transfer/given.py",
     "r2h_batch/evaluate.py",
     "r2h_batch/judge/metrics.py",
     "r2h_batch/judge/pick.py",
+    "r2h_batch/judge/received.py",
     "r2h_batch/judge/reception.py",
     "r2h_batch/judge/scores.py",
     "r2h_batch/judge/straight_way.py",
@@ -80,6 +79,11 @@ alone.
 A row of these sweeps took at most {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing. The method, the
 judge and the start of the program are in it, and the time that threads of a network spend on waiting.
 """
+OLDER = """r2h_batch 0.3 judged these rows, by a criterion more: Taken asked whether a simulated person had the object in the end.
+Nobody judges by it any more. What fails there counts as a failure here. Received took the object where a simulated closing had
+put it, some millimetres beside the place of the other criteria.
+
+"""
 SHARD = 128
 """Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 8
@@ -90,19 +94,19 @@ TIMED = 128
 HEAD = """# The draft r2h-v3: results
 
 A trial of `r2h-v3-draft` begins with the object on the table: the arm has to [pick](../pick.md#the-draft-r2h-v3) it, carry it
-from there, and present it. The person has to be able to take it, and has to have it in the end. `python bench/whole.py` sweeps
+from there, and present it. The person has to be able to take it. `python bench/whole.py` sweeps
 {trials} trials a split with the motion as planned (bench/results/whole.json, commit {commit}, load {load:g} at the start).
 **It is a draft**: trials may change, and these rates are not to be published.
 
 Percent of both splits' trials. A trial that fails counts once, at its first failure, in the order of the columns. First brackets:
 95 % for more trials with these objects (Wilson). Second ones: for other categories of objects ([statistics](../statistics.md)).
-Thresholds are those that [Pick](../pick.md), [reception](../receivers.md#reception) and
-[transfer](../transfer.md#outcomes) had before this table.
+Thresholds are those that [Pick](../pick.md) and [reception](../receivers.md#reception) had before this table.
 
 {stages}
 
+{older}
 Methods take the best grasp by their own rule that the arm can pick ([what changes for each](../baselines.md#on-the-table));
-random does not look at the table. The oracle searches grasps that Pick accepts, and asks all eight criteria. It has no
+random does not look at the table. The oracle searches grasps that Pick accepts, and asks all criteria. It has no
 answer for {unsolved} of {n} trials{unsolved_words}. Trials are [drawn until it has one](#solvable-by-construction), so its
 rate is no measurement, and has no interval.
 
@@ -115,8 +119,8 @@ something.
 
 {plans}
 
-What fails behind Safe, trials. `Undecided` transfers hang on less than their model knows
-([transfer](../transfer.md#outcomes)). They count as they ended.
+Why nobody can take what is presented, trials: the step of [reception](../receivers.md#reception) that the last grasp of the
+person fails.
 
 {giving}
 
@@ -146,12 +150,11 @@ Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (aim: at mos
 Other code judged {checked} of these rows again in float64: Pick (`tests/support/pick_twin.py`), and Stability, the carry, Reach,
 Affordance, Safe and the outcome up to there (`tests/support/judge_twin.py`); where they got so far, the reception
 (`tests/support/people_twin.py`). {wrong} wrong{words}; 95 %: at most {at_most:.1f} % of such rows.
-{passing} are picked, {carried} carried, {received} received. [Judged
-again](judged_again.md) has the same for transfers, set `transfer`.
+{passing} are picked, {carried} carried, {received} received.
 
 ## Solvable by construction
 
-The first {certified} trials are known to have a whole way by all eight criteria ([certificates](../pick.md#certificates)). The
+The first {certified} trials are known to have a whole way by all criteria ([certificates](../pick.md#certificates)). The
 oracle's search found one for all but {redrawn} as they were drawn first. These {redrawn} ({redrawn_share:.1f} %) were drawn
 again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first
 ([why three objects are drawn again in every trial](../pick.md#objects-without-a-whole-way)):
@@ -230,8 +233,6 @@ def _about(run: Any, name: str) -> dict[str, Any]:
         "plans": dict(Counter(r["plan_reason"] for r in rows if r["outcome"] == "plan")),
         "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
         "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
-        "ends": dict(Counter(r["transfer_end"] for r in rows if r["outcome"] == "taken")),
-        "undecided": sum(bool(r["transfer_undecided"]) for r in rows),
     }
 
 
@@ -312,7 +313,6 @@ TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "none": ((), "all"),
     "present": (("pick",), "all"),
     "received": (("pick", "received"), "all"),
-    "taken": (("pick", "received", "taken"), "all"),
     "pose_none": ((), "pose"),
     "pose": (("pick",), "pose"),
 }
@@ -376,32 +376,28 @@ def poses_of(rows: list[dict[str, Any]]) -> tuple[torch.Tensor, torch.Tensor]:
 
 def _until_safe(row: dict[str, Any]) -> dict[str, Any]:
     """The outcome of a row by the criteria that the twin knows: what fails behind Safe has passed all of them."""
-    return {"outcome": "success"} if row["outcome"] in ("received", "taken") else {}
+    return {"outcome": "success"} if row["outcome"] == "received" else {}
 
 
 def markdown(data: Any) -> str:
     """The page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
-    from r2h_batch.verdicts import IN_ORDER
+    from r2h_batch.verdicts import IN_ORDER, NO_LONGER
 
     methods = data["methods"]
     short = short_names(list(methods))
     nobody = list(dict.fromkeys(r for m in methods.values() for r in m["nobody"]))
-    ends = list(dict.fromkeys(e for m in methods.values() for e in m["ends"]))
-    giving = [
-        [short[k], *(m["nobody"].get(r, 0) for r in nobody), *(m["ends"].get(e, 0) for e in ends), m["undecided"]]
-        for k, m in methods.items()
-        if m["outcomes"].get("success", 0) + m["outcomes"].get("received", 0) + m["outcomes"].get("taken", 0)
-    ]
+    giving = [[short[k], *(m["nobody"].get(r, 0) for r in nobody)] for k, m in methods.items() if m["nobody"]]
     ms = data["ms"]
     cost = [
         ["a kinematic trial (`--sim none`, five criteria)", f"{ms['none']:.2f}"],
         ["with Pick, and the carry in place of the path from home", f"{ms['present']:.2f}"],
         ["and the reception of what got so far", f"{ms['received']:.1f}"],
-        ["and the transfer of what is received", f"{ms['taken']:.1f}"],
     ]
-    order = [entry.name for entry in IN_ORDER]
+    every_outcome = {o for of in (methods, data["seen"]) for m in of.values() for o in m["outcomes"]}
+    older = [name for name in NO_LONGER if name in every_outcome]
+    order = [*(entry.name for entry in IN_ORDER), *older]
 
     oracle = methods["oracle"]
     splits, kinds = _kinds(max(len(m["won"]) for m in (*methods.values(), *data["seen"].values())))
@@ -465,6 +461,7 @@ def markdown(data: Any) -> str:
         load=data["hardware"]["load_at_start"],
         stages=markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
         bound=bound,
+        older=OLDER if older else "",
         few=FEW.format(**data) if data["seen_trials"] < data["trials"] else "",
         more_cost=more_cost,
         idle=", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
@@ -486,15 +483,7 @@ def markdown(data: Any) -> str:
         passing=sum(c["picked"] for c in checked),
         carried=sum(c["carried"] for c in checked),
         received=sum(c["received"] for c in checked),
-        giving=markdown_table(
-            [
-                "",
-                *(f"not received: {r.replace('_', ' ')}" for r in nobody),
-                *(e.replace("_", " ") for e in ends),
-                "undecided, of all",
-            ],
-            giving,
-        ),
+        giving=markdown_table(["", *(r.replace("_", " ") for r in nobody)], giving),
         cost=markdown_table(["", "ms"], cost),
         timed=TIMED * len(methods),
         moment=ms["moment"],

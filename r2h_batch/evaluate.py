@@ -12,7 +12,7 @@ A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
 | motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
 | clearance | `distance` | where the robot is nearest to the receiver |
 | verdict | `metrics`, `scores` | five criteria with margins, and Pick where the benchmark asks for it; one outcome |
-| giving | `reception`, `closed_loop/transfer/given` | whether the person can take it, and has it, where the benchmark asks |
+| giving | `reception`, `received` | whether the person can take it, where the benchmark asks |
 
 `_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
 `_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
@@ -272,7 +272,7 @@ class Evaluator(Prepared):
         """The same verdicts once the person has been asked to take what was presented, where the benchmark asks for it."""
         if not isinstance(scores, GivenScores):
             return scores
-        from r2h_batch.closed_loop.transfer.given import given
+        from r2h_batch.judge.received import given
 
         return given(scores)
 

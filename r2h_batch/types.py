@@ -522,15 +522,10 @@ class PickedScores(Scores):
 
 @dataclass(frozen=True, repr=False)
 class GivenScores(PickedScores):
-    """Verdicts of a benchmark that asks for Received too, and may ask for Taken.
+    """Verdicts of a benchmark that asks for Received too.
 
     Attributes:
         receives: `ReceiveReason`, and how many receiving grasps pass every step; -1: not judged.
-        ends: place in `TRANSFER_ENDS`, and whether that hangs on less than the model knows (1); -1: not simulated.
-        transfer: slip of the object in the hand (m), its turn there (deg), the person's largest pull (N), and the time from the
-            beginning of the grip until the gripper is free (s); NaN where it did not happen.
     """
 
     receives: Int32[Tensor, "b 2"]
-    ends: Int32[Tensor, "b 2"]
-    transfer: Float32[Tensor, "b 4"]

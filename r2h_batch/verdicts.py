@@ -117,12 +117,11 @@ CRITERIA = tuple(entry.name for entry in REGISTRY)
 ASKED = (
     CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0"),
     CriterionEntry("received", "f_recv", "F_recv", 7, "#6a9a3d", SPLITS, True, since="0.3.0"),
-    CriterionEntry("taken", "f_taken", "F_taken", 8, "#9467bd", SPLITS, False, since="0.3.0"),
 )
 """Criteria that a benchmark asks for (`Benchmark.asks`) beside `CRITERIA`: others judge by none of them. A benchmark asks for
 the first ones."""
 
-UNTIL: tuple[Literal["present", "received", "taken"], ...] = ("present", "received", "taken")
+UNTIL: tuple[Literal["present", "received"], ...] = ("present", "received")
 """Where a benchmark that asks for `ASKED` may end: with the arm at rest, the first of them, and so on."""
 
 EVERY = (*REGISTRY, *ASKED)
@@ -130,9 +129,13 @@ EVERY = (*REGISTRY, *ASKED)
 
 ASKED_NAMES = tuple(entry.name for entry in ASKED)
 
+NO_LONGER = ("taken",)
+"""Criteria that rows of r2h_batch 0.3 and before may be judged by, and no benchmark asks for any more. Such rows keep the
+outcomes of these names; their columns are not read."""
+
 IN_ORDER = (REGISTRY[0], ASKED[0], *REGISTRY[1:], *ASKED[1:])
 """All criteria in the order in which the first failure is looked for: a grasp is held, then picked; what is presented is
-received, then taken."""
+received."""
 
 PAPER = tuple(entry.name for entry in REGISTRY if not entry.since)
 """Those of the paper: files of the authors' release know no others."""
@@ -229,13 +232,6 @@ class ReceiveReason(IntEnum):
     HOLD = 6
     WHOLE_WAY = 7
     NO_GRASP = 8
-
-
-TRANSFER_ENDS = (
-    *("not_received", "robot_dropped", "taken", "badly_held", "dropped", "torn_out"),
-    *("hand_slipped_off", "not_released", "stuck", "kept", "false_release", "exploded"),
-)
-"""How a transfer ends: the words of `closed_loop.transfer.outcome.Outcome`, in its order."""
 
 
 class PickReason(IntEnum):

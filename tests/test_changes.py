@@ -128,7 +128,7 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
     report(tree)
     tree.write_docs()
     assert (
-        "`passed_centred`, `passed_pick`, `passed_received`, `passed_taken` | bool"
+        "`passed_centred`, `passed_pick`, `passed_received` | bool"
         in (tree.folder / "docs" / "run_folder.md").read_text()
     )
     assert tree.run(READ + "\nsys.exit()") == shipped

@@ -120,7 +120,6 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
             "sweep --benchmark r2h-v1 --method random --people adults children",
             ["--people takes one value, and 'children' stands behind it"],
         ),
-        ("results transfer x --release loadshare", ["'loadshare', did you mean load-share?"]),
         (
             "sweep --benchmark r2h-v1 --method random --objects families:*x1000",
             ["x 1,000 of 16 families is 16,000 objects; at most 1,000 are allowed, so write x 1 to x 62"],
@@ -137,8 +136,6 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
         ("trials --trials 3", ["--out"]),
         ("sweep --benchmark r2h-v1 --method fc --method random", ["--method is given twice", "--method A B"]),
         ("import robot --urdf x --base b --flange f --out y --package a=1 --package=b=2", ["--package is given twice"]),
-        ("results transfer x --draws 99999999999", ["--draws is 99999999999; it must be 1 to 10000"]),
-        ("results transfer x --processes 1000000", ["--processes is 1000000; it must be 0 to 1024"]),
     ],
 )
 def test_what_is_not_understood_is_one_line_with_the_nearest_match_and_exit_code_2(line, parts, capsys):

@@ -16,10 +16,7 @@ from r2h_batch.runs.store import load_run
 ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
 APART = {
-    "contacts",
     "people",
-    "persons",
-    "transfer",
     "coverage",
     "gates",
     "networks",
@@ -29,7 +26,7 @@ APART = {
     "sees",
     "viewed",
 }
-APART |= {"meshes", "attacks", "strangers", "closing_angle", "pick", "lift", "whole", "growth"}
+APART |= {"meshes", "attacks", "strangers", "pick", "lift", "whole", "growth"}
 APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "judge_physics", "learn"}

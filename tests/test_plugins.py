@@ -132,7 +132,6 @@ NAMED = """
 import contextlib, io
 from r2h_batch.__main__ import main
 from r2h_batch.closed_loop.episodes import policy_of
-from r2h_batch.closed_loop.transfer.own_release import release_of
 from r2h_batch.runs.store import load_run
 
 def run(*words):
@@ -149,15 +148,14 @@ assert stored.methods == ("shifted", "random") and stored.entry("shifted").sourc
 assert stored.poses("shifted").equals(other.poses("random")) and not stored.poses("random").equals(other.poses("random"))
 code, text = run("sweep", "--method", "shiftd", "--trials", "3")
 assert code == 2 and "did you mean shifted?" in text and "learned, robust, shifted or your own" in text, text
-for named in (policy_of, release_of):
-    found, text = named("stand")
-    assert found.__name__ == "Stands" and text.startswith("acts:Stands "), text
-    try:
-        named("stnd")
-    except ImportError as error:
-        assert "did you mean stand?" in str(error) and len(str(error).splitlines()) == 1
-    else:
-        raise AssertionError
+found, text = policy_of("stand")
+assert found.__name__ == "Stands" and text.startswith("acts:Stands "), text
+try:
+    policy_of("stnd")
+except ImportError as error:
+    assert "did you mean stand?" in str(error) and len(str(error).splitlines()) == 1
+else:
+    raise AssertionError
 """
 
 
@@ -165,7 +163,7 @@ def test_methods_and_policies_of_a_package_are_named_listed_swept_and_hinted_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("gymnasium")
-    points = "method.shifted = acts:predict\npolicy.stand = acts:Stands\nrelease_policy.stand = acts:Stands\n"
+    points = "method.shifted = acts:predict\npolicy.stand = acts:Stands\n"
     installed(tmp_path / "site", "acts", points, CODE)
     monkeypatch.chdir(tmp_path)
     said(tmp_path / "site", NAMED)

@@ -35,7 +35,6 @@ REFUSED = (
     ("view RUN --trial 99999 --method m --html OUT/x.html", NO_TRIAL),
     ("view RUN --trial 1 --strips OUT/x.png", SEVERAL),
     ("view RUN --trial 3 --method random m --strips OUT/x.png", UNJUDGED),
-    ("view RUN --trial 99999 --method m --video OUT/x.gif --transfer take", NO_TRIAL),
     ("view RUN --trial 99999 --sees OUT/x.png", "has 6 of S0, 6 of S1"),
     ("scene RUN --trial 1 --method randm --out OUT/x", NO_METHOD),
     ("scene RUN --trial 99999 --method m --out OUT/x", NO_TRIAL),
@@ -46,10 +45,7 @@ REFUSED = (
     ("export RUN --to r2handoversim --out OUT/x", SEVERAL),
     ("figures RUN --method randm --out OUT/x", NO_METHOD),
     ("figures RUN --trial 99999 --out OUT/x", NO_TRIAL),
-    *(
-        (f"results {name} RUN --method randm", NO_METHOD)
-        for name in ("picked", "held", "transfer", "viewed", "reception")
-    ),
+    *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "held", "viewed", "reception")),
     ("turn RUN --method randm", NO_METHOD),
 )
 

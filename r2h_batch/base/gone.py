@@ -3,6 +3,7 @@
 Who looks up a name that is unknown asks here too, so that an old command line is told what became of it. Imports nothing.
 """
 
+_NOBODY = "nobody simulates how the object is taken; `results reception RUN` says whether the person can take it"
 _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
@@ -15,6 +16,10 @@ GONE = {
         f"--method contact,{option}": _SEES
         for option in ("cameras", "depth_noise", "depth_lost", "camera_m", "camera_deg")
     },
+    "results transfer": _NOBODY,
+    "view --transfer": _NOBODY,
+    "view --release": _NOBODY,
+    "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
 }
 """A command with the word that went (`sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`, `--method NAME,OPTION`)
 -> what to use instead."""

@@ -30,7 +30,6 @@ from r2h_batch.base.validate import (
     one_of,
     optional,
     suggest_names,
-    text,
     validate_fields,
 )
 from r2h_batch.base.validate_tensors import as_numbers
@@ -39,9 +38,6 @@ from r2h_batch.closed_loop.fingers import OwnHands
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion, Taken, rows_of_seeds
 from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
-from r2h_batch.closed_loop.transfer.handed import Handed, handed_of
-from r2h_batch.closed_loop.transfer.in_loop import ASKED, LoopTransfers
-from r2h_batch.closed_loop.transfer.outcome import Outcome as Transferred
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.metrics import reach_distance
@@ -105,8 +101,6 @@ class End(IntEnum):
     """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
     (Affordance), no grasp of the hand is free (motion takes), or the robot did not hold still (motion takes)"""
     TIMEOUT = 6
-    NOT_TAKEN = 7
-    """the hand came to the object, and the transfer ended badly (`release`)"""
 
 
 class Why(IntEnum):
@@ -123,7 +117,6 @@ class Why(IntEnum):
     NO_GRASP = 8
     NOT_STILL = 9
     LATE = 10
-    NOT_RIGHTLY_TAKEN = 11
 
 
 WORDS = np.array(
@@ -139,7 +132,6 @@ WORDS = np.array(
         "no grasp of the hand is free",
         "the object moved while the hand took it",
         "the horizon came first",
-        "the person did not get the object out of the gripper, or not well",
     ]
 )
 _NAMES = np.array([end.name.lower() for end in End])
@@ -226,7 +218,6 @@ def checked_motion(
     motion: ReceiverMotion | str,
     *,
     action: Action = "velocity",
-    release: str | None = None,
     output: Output = "numpy",
     privileged: bool = False,
     autoreset: bool = False,
@@ -236,8 +227,7 @@ def checked_motion(
 
     Args:
         motion: it, or its name.
-        action: as of `HandoverEnv`, as are the next four.
-        release: as there.
+        action: as of `HandoverEnv`, as are the next three.
         output: as there.
         privileged: as there.
         autoreset: as there.
@@ -248,16 +238,13 @@ def checked_motion(
     """
     for name, switch in (("privileged", privileged), ("autoreset", autoreset)):
         boolean(name, switch)
-    optional(text)("release", release)
     named = "the name of a motion, or ReceiverMotion(...)"
     instance_of((str, ReceiverMotion), named)("motion", motion)
     one_of(*get_args(Action))("action", action)
     one_of(*get_args(Output))("output", output)
     found = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
-    if release is not None and found.kind != "takes":
-        raise ValueError(f"release needs receivers that take (motion takes), not {found.kind}")
-    if action == "pose" and (from_table or release == ASKED):
-        why = "an action that moves the gripper too" if from_table else 'release="action"'
+    if action == "pose" and from_table:
+        why = "an action that moves the gripper too"
         raise ValueError(f'{why} needs action velocity, twist or posture, not "pose"')
     return found
 
@@ -269,13 +256,12 @@ class HandoverEnv(VectorEnv):
     `T_world_hand` and `hand_joints` (16, 3) as the camera has them, `age` s of that frame; `gap` m, distance of the
     robot from that hand (`receiver="body"`: and its arm), `CAP_M` at most; `T_hand_ee`, the handover pose that the
     method asked for, in the frame of the hand that it was asked for. With `privileged`: `true_T_world_hand`,
-    `true_gap`. With `release="action"`: `wrist_force` N, world axes, during the transfer. Reward: 1 for a success, -1
-    for a contact, a collision, a drop or a transfer that ends badly, less a tenth of the horizon's share
+    `true_gap`. Reward: 1 for a success, -1 for a contact, a collision or a drop, less a tenth of the horizon's share
     that a step takes.
 
     `info` has for each row `end` (a name of `End` in small letters), `why` in words, `success`, `least_m` and
-    `margins` (criterion -> m, or its other unit) of the plan that the episode began with, with `release` also
-    `transfer`, the outcome of the transfer. `_end` marks rows that end in this step.
+    `margins` (criterion -> m, or its other unit) of the plan that the episode began with. `_end` marks rows that end
+    in this step.
 
     Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
     it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
@@ -299,7 +285,6 @@ class HandoverEnv(VectorEnv):
         num_envs: int | None = None,
         output: Output = "numpy",
         autoreset: bool = False,
-        release: str | None = None,
     ) -> None:
         """The handovers of a call of `Evaluator.score`.
 
@@ -312,20 +297,14 @@ class HandoverEnv(VectorEnv):
             num_envs: B, handovers at once, at most the rows of `scores`; None: all.
             output: numpy arrays, or torch tensors on the scene's device.
             autoreset: whether rows that have ended begin their next episode.
-            release: a release policy (`transfer.release`), with motion takes: an episode goes on when the hand has come to
-                the object, and ends with the transfer. "action": the policy lets go itself. Its actions have one number
-                more, the last, and the gripper opens once that is positive. None: the episode ends with the hand at the
-                object.
 
         Raises:
             ValueError: the scores hold no inputs, or their Evaluator has errors of execution or of the object's pose.
-            ImportError, TypeError: there is no such release policy, or it is no class.
         """
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
         self.motion = checked_motion(
-            motion, action=action, release=release, output=output, privileged=privileged, autoreset=autoreset,
-            from_table=self.from_table,
+            motion, action=action, output=output, privileged=privileged, autoreset=autoreset, from_table=self.from_table,
         )  # fmt: skip
         self.evaluator, n = inputs.evaluator, len(scores)
         for section in ("execution_error", "object_errors"):
@@ -339,11 +318,6 @@ class HandoverEnv(VectorEnv):
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.privileged, self.scene = privileged, self.evaluator.scene
-        self._transfers = (
-            None if release is None else LoopTransfers(self.scene, release, self.config.rate_hz)
-        )
-        self._lets_go = release == ASKED
-        self._moves_gripper = self._lets_go or self.from_table
         self._sees_person = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = num_envs or n, 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
@@ -363,8 +337,6 @@ class HandoverEnv(VectorEnv):
                   "hand_joints": (16, 3), "age": (), "gap": (), "T_hand_ee": (4, 4)}  # fmt: skip
         if privileged:
             shapes |= {"true_T_world_hand": (4, 4), "true_gap": ()}
-        if self._lets_go:
-            shapes["wrist_force"] = (3,)
         shapes |= self._more_shapes()
         self.single_observation_space = Dict(
             {k: Box(-MOST, MOST, shape, np.float32) for k, shape in shapes.items()}
@@ -376,7 +348,7 @@ class HandoverEnv(VectorEnv):
             "pose": Box(-10.0, 10.0, (4, 4), np.float32),
             "posture": Box(np.float32(robot.lower), np.float32(robot.upper)),
         }[action]
-        if self._moves_gripper:
+        if self.from_table:
             arm = self.single_action_space
             low, high = (np.append(x, np.float32(y)) for x, y in ((arm.low, -1), (arm.high, 1)))
             self.single_action_space = Box(low, high)
@@ -440,7 +412,7 @@ class HandoverEnv(VectorEnv):
         """Begins episodes: all, or those of a mask.
 
         Args:
-            seed: of noise, receivers and persons who take the object, from now on: one number for all rows, or a number for
+            seed: of noise and receivers, from now on: one number for all rows, or a number for
                 each. A row with a number of its own plays as it does where all rows have that number. A seed begins the
                 first episodes of all rows. None: the first call does, and a later one begins the next.
             options: `reset_mask`, (B,) bool: the rows that begin anew; without it all.
@@ -516,8 +488,6 @@ class HandoverEnv(VectorEnv):
         self._ended_s, self._least, self.gap = (zero.clone() for _ in range(3))
         self._by_robot = torch.zeros(b, dtype=torch.bool, device=device)
         self._at_take = zero.new_zeros(b, 3)
-        self._offered: dict[int, Handed] = {}
-        self._transferred = np.full(b, "", object)
         self._bias = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
         self._seen, self.T_world_hand = self._bias.clone(), self._bias.clone()
         self._last_seen, self._first = self.k_of.clone(), self.k_of.clone()
@@ -557,10 +527,6 @@ class HandoverEnv(VectorEnv):
             counted[rows] = 0.0
         self._ended_s[rows] = torch.where(self._held[rows], torch.inf, 0.0).float()
         self._by_robot[rows], self._at_take[rows] = False, 0.0
-        if self._transfers is not None:
-            for row in rows.tolist():
-                self._transfers.forget(row)
-            self._transferred[rows.cpu().numpy()] = ""
         if (own := self._distance.own) is not None:
             own.put(rows, self._skin(rows))
             self._joints[rows] = self.scene.hands.joints.to(self._device)[self._index[rows]]
@@ -651,9 +617,9 @@ class HandoverEnv(VectorEnv):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
         given = given.detach().to(self._device)
-        if self._moves_gripper:
+        if self.from_table:
             given, gripper = given[:, :-1], given[:, -1]
-            self._opens, self._closes = gripper > 0, gripper < 0
+            self._closes = gripper < 0
         with self.evaluator.working():
             return self._step(given)
 
@@ -663,10 +629,6 @@ class HandoverEnv(VectorEnv):
         first, last = self.times, (self.k_of + 1).double() * self.step_s
         assert self.hands is not None
         q, qd = self.moved(actions, rows)
-        stands = self._stands(rows)
-        if stands is not None:
-            q = torch.where(stands[:, None], self.q[rows], q)
-            qd = torch.where(stands[:, None], 0.0, qd)
         T = self.hands.pose(last)
         moved = self.hands.travel(first, last) > 1e-6
         passed = self._distance.over_step(
@@ -718,12 +680,6 @@ class HandoverEnv(VectorEnv):
             outcome = reward, terminated & running, truncated & running
         return self._observe(), *outcome
 
-    def _stands(self, rows: Tensor) -> Tensor | None:
-        """Rows whose arm holds still: while the person takes the object."""
-        if self._transfers is None:
-            return None
-        return self._transfers.begun(self.num_envs).to(self._device)[rows]
-
     def _openings(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
         """Gaps between the pads of `rows` before and after this step, m; None: the fingers stand."""
         return None
@@ -756,8 +712,6 @@ class HandoverEnv(VectorEnv):
             "least_m": self._least.cpu().numpy(),
             "margins": {name: margin[:, i] for i, name in enumerate(CRITERIA)},
         }
-        if self._transfers is not None:
-            info["transfer"] = self._transferred.astype(np.str_)
         if before is not None:
             info["_end"] = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
         return info
@@ -931,12 +885,7 @@ class HandoverEnv(VectorEnv):
         before, there = (
             T[received] for T in (reception_scores.T_world_before, reception_scores.T_world_hand)
         )
-        some = rows[received]
-        if self._transfers is not None:
-            ids = self._drawn.trial_id[rows].cpu().numpy()
-            handed = handed_of(reception_scores, ids, self.trials[rows], self.scene)
-            self._offered |= {row: handed[j : j + 1] for j, row in enumerate(some.tolist())}
-        self._take(some, Taken(before, there, vertices, joints))
+        self._take(rows[received], Taken(before, there, vertices, joints))
 
     def _trials_now(self, rows: Tensor) -> Trials:
         """Trials with the receivers where they are."""
@@ -976,30 +925,7 @@ class HandoverEnv(VectorEnv):
         self._finish(rows[gone], End.NOT_RECEIVED, Why.NOT_STILL)
         assert self.hands is not None
         there = ~gone & rest & (self.hands.taken_s[rows] <= self.times[rows])
-        if self._transfers is None:
-            self._finish(rows[there], End.SUCCESS, Why.TAKEN)
-        else:
-            self._transfer(rows[~gone], there[~gone])
-
-    def _transfer(self, rows: Tensor, there: Tensor) -> None:
-        """Begins the transfers of rows whose hand is `there`, goes on with those that have begun, and ends what is
-        over."""
-        transfers = self._transfers
-        assert transfers is not None
-        begun = transfers.begun(self.num_envs).to(rows.device)[rows]
-        for row in rows[there & ~begun].tolist():
-            transfers.begin(row, self._offered.pop(row), int(self._seen_seeds[row]))
-        over: dict[int, Transferred] = {}
-        for row in rows[begun].tolist():
-            opens = self._lets_go and bool(self._opens[row])
-            if (outcome := transfers.go_on(row, opens)) is not None:
-                over[row] = outcome
-        for row, outcome in over.items():
-            transfers.forget(row)
-            self._transferred[row] = str(outcome)
-            taken = outcome == Transferred.TAKEN
-            end, why = (End.SUCCESS, Why.TAKEN) if taken else (End.NOT_TAKEN, Why.NOT_RIGHTLY_TAKEN)
-            self._finish(torch.tensor([row], dtype=torch.int64, device=rows.device), end, why)
+        self._finish(rows[there], End.SUCCESS, Why.TAKEN)
 
     def _finish(self, rows: Tensor, end: End, why: Why) -> None:
         """Ends episodes. One that came to nothing worse is looked at once more, all its way: does the robot meet
@@ -1137,9 +1063,6 @@ class HandoverEnv(VectorEnv):
             "gap": gap,
             "T_hand_ee": self._T_hand_ee.clone(),
         }
-        if self._lets_go:
-            assert self._transfers is not None
-            found["wrist_force"] = self._transfers.forces(self.num_envs).float().to(self._device)
         if self.privileged:
             found |= {"true_T_world_hand": self.T_world_hand.clone(), "true_gap": self.gap.clone()}
         return found

@@ -16,12 +16,12 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.closed_loop.arm import ee_and_jacobian
 from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig, Why
-from r2h_batch.closed_loop.transfer.given import given
 from r2h_batch.judge.grasp import CUT_CAP_M, attach, open_clearance
 from r2h_batch.judge.grasp_physics import CLOSING_M_S
 from r2h_batch.judge.least import TOLERANCE_M, least_along
 from r2h_batch.judge.pick import closing_room
 from r2h_batch.judge.plan import path_clearances
+from r2h_batch.judge.received import given
 from r2h_batch.observe.known import known_moments
 from r2h_batch.scene.resting import among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses
@@ -53,8 +53,7 @@ class TableHandoverEnv(HandoverEnv):
 
     Observations are those of `HandoverEnv`, and `T_world_obj` (where the object is), `gripper` (the gap between the pads, m),
     `phase` (a number of `Phase`) and `T_obj_ee` (the grasp that the method asked for). An action has one number more, the
-    last: below 0 the gripper closes, above 0 it opens. It closes once, at `CLOSING_M_S`, as soon as the arm has come to rest.
-    It opens in a transfer alone (`release="action"`).
+    last: below 0 the gripper closes. It closes once, at `CLOSING_M_S`, as soon as the arm has come to rest.
 
     `info` has besides `outcome`, the first criterion that fails in the benchmark's order (success where none does, "" while the
     episode runs), and `pick_reason`, a word of `PickReason`.
@@ -371,11 +370,7 @@ class TableHandoverEnv(HandoverEnv):
         found, names = given(so_far.with_inputs(posed.inputs)), posed.criteria
         received = found.passed[:, names.index("received")]
         super()._finish(rows[~received], End.NOT_RECEIVED, Why.NO_GRASP)
-        if "taken" not in asks or self._transfers is not None:
-            return rows[received]
-        taken = found.passed[:, names.index("taken")]
-        super()._finish(rows[received & ~taken], End.NOT_TAKEN, Why.NOT_RIGHTLY_TAKEN)
-        return rows[received & taken]
+        return rows[received]
 
     def _observe(self) -> dict[str, Tensor]:
         return super()._observe() | {
@@ -407,6 +402,5 @@ def _outcome(end: int, why: int, phase: int) -> str:
         End.DROP: "stability",
         End.NOT_RECEIVED: "affordance" if why == Why.FINGERS_ON_REGION else "received",
         End.TIMEOUT: "reach" if lifted else "pick",
-        End.NOT_TAKEN: "taken",
     }
     return of_end[End(end)]

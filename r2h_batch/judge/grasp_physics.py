@@ -81,11 +81,6 @@ class Material:
     solimp: tuple[float, float, float, float, float] = (0.99, 0.99, 0.001, 0.5, 2.0)
     torsion_m: float = TORSION_M
 
-    @staticmethod
-    def of_steps(step_s: float) -> "Material":
-        """MuJoCo's default impedance, and four steps: for fingers that close and do not hold."""
-        return Material((4 * step_s, 1.0), (0.9, 0.95, 0.001, 0.5, 2.0))
-
     def of_geom(self, friction: float) -> dict[str, Any]:
         """Arguments of a geom with this material.
 
@@ -266,27 +261,6 @@ def add_closing_fingers(
             contype=1, conaffinity=2, **material.of_geom(friction),
         )  # fmt: skip
     tie(spec, "left", "right", (0, 1), **rigid)
-
-
-def add_motor(spec: mujoco.MjSpec, joint: str, damping: float) -> None:
-    """effort = ctrl - damping qd at a joint: full effort moves it at its largest speed, and at rest all of it
-    presses."""
-    spec.add_actuator(
-        name=joint, target=joint, trntype=mujoco.mjtTrn.mjTRN_JOINT, gaintype=mujoco.mjtGain.mjGAIN_FIXED,
-        biastype=mujoco.mjtBias.mjBIAS_AFFINE, gainprm=[1.0, *[0] * 9], biasprm=[0, 0, -damping, *[0] * 7],
-    )  # fmt: skip
-
-
-def full_effort(robot: Robot) -> float:
-    """Largest effort of each finger's motor, N m (N: jaws): about 30 N (25 N) between the pads."""
-    return TORQUE_NM if robot.linkage.table is None else FORCE_N
-
-
-def opening_speed(robot: Robot) -> float:
-    """Speed of each finger's motor at which the gap opens by `CLOSING_M_S`, rad/s (m/s: jaws), half open."""
-    middle = robot.open_gap_m / 2
-    turn = float(drive_from_gap(robot, middle - 0.005) - drive_from_gap(robot, middle + 0.005))
-    return abs(turn) / 0.01 * CLOSING_M_S
 
 
 def finger_posture(robot: Robot, gap_m: float) -> Array:

@@ -272,21 +272,8 @@ def received(e: Evidence) -> Criterion:
     """Received(g, h) <=> some receiving grasp of this person passes every step (`judge.reception`). Margin: no length says it, so
     it is the room between hand and gripper that reception keeps (a cap), or -inf.
 
-    Judged once all before it have passed (`scores.judged_later`): by nothing here.
+    Judged once all before it have passed (`received.given`): by nothing here.
     """
-    return _later(e)
-
-
-def taken(e: Evidence) -> Criterion:
-    """Taken(g, h) <=> the simulated person has the object, well held (`closed_loop.transfer`). Margin: what slip and turn in the
-    hand lack to their limits, a degree as `UNITS` says; -inf where the person does not have it.
-
-    Judged as `received` is.
-    """
-    return _later(e)
-
-
-def _later(e: Evidence) -> Criterion:
     nothing = torch.full_like(e.clearance_m, torch.nan)
     return Criterion(nothing, torch.zeros_like(e.held.active))
 

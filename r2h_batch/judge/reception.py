@@ -1,5 +1,5 @@
 """Can this person take the object? Which of the held-out receiving grasps the receiver can have, and the
-easiest of them. Part of the verdict where a benchmark asks for Received (`closed_loop.transfer`).
+easiest of them. Part of the verdict where a benchmark asks for Received (`judge.received`).
 
 A grasp counts when it passes every step of `STEPS`. The person may lean; the object is where the robot
 holds it out, and the robot stands at its goal. docs/receivers.md has the definitions, ranges and sources.
@@ -22,7 +22,6 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.validate import array, check_arguments, instance_of
-from r2h_batch.judge.closed_pose import closed_poses
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, hand_of_points, hand_points
@@ -95,10 +94,9 @@ class Reception:
         T_world_before: where it is 10 cm before that, turned as there; from here it goes straight.
         wrist: where its wrist is then, world, m.
         pull: unit vector along which the person pulls, world.
-        T_obj_ee: the grasp once the gripper has closed (`closed_pose`), m; identity where nothing is held.
+        T_obj_ee: the grasp once the gripper has closed (`judge.grasp`), m; identity where nothing is held.
         T_world_obj: where the object is held out, m.
         opening_m: the gripper's squeezed opening.
-        closing_m: how far closing moved the centre of mass, m.
     """
 
     evaluated: Bool[Tensor, " b"]
@@ -119,7 +117,6 @@ class Reception:
     T_obj_ee: Float32[Tensor, "b 4 4"]
     T_world_obj: Float32[Tensor, "b 4 4"]
     opening_m: Float32[Tensor, " b"]
-    closing_m: Float32[Tensor, " b"]
 
 
 @check_arguments(
@@ -272,26 +269,6 @@ def _grown(scene: Scene, held_out: HeldOut, before: _Grasps | None) -> _Grasps:
     )
 
 
-def _once_closed(
-    scene: Scene, object_index: Tensor, T_obj_ee: Tensor, opening: Tensor, evaluated: Tensor
-) -> tuple[Float32[Tensor, "b 4 4"], Float32[Tensor, " b"]]:
-    """The grasps once the gripper has closed, as physics has it, and how far that moved the centre of mass (m);
-    others stay."""
-    rows, robot = torch.nonzero(evaluated).flatten(), scene.robot
-    T_ee_gripper = np.linalg.inv(robot.T_flange_ee) @ robot.T_flange_gripper
-    grasp = T_obj_ee[rows].double().cpu().numpy()
-    index = object_index[rows].long().cpu().numpy()
-    before = np.asarray(np.linalg.inv(grasp @ T_ee_gripper), np.float64)
-    gap = opening[rows].double().cpu().numpy()
-    after = closed_poses(robot, scene.objects, index, before, gap)
-    closed, moved = T_obj_ee.clone(), torch.zeros_like(opening)
-    closed[rows] = torch.from_numpy(np.linalg.inv(T_ee_gripper @ after)).to(closed)
-    com = np.array([scene.objects[k].com for k in index], np.float64).reshape(-1, 3)
-    was, now = (se3.apply(torch.from_numpy(T), torch.from_numpy(com)) for T in (before, after))
-    moved[rows] = se3.dot(now - was, now - was).sqrt().to(moved)
-    return closed, moved
-
-
 @dataclass(frozen=True, eq=False)
 class _Batch:
     """Some handovers, and what every step reads of them."""
@@ -310,7 +287,6 @@ class _Batch:
     """first grasp of each trial's object and hand, and how many there are"""
     known: Int32[Tensor, " b"]
     of_trial: dict[str, Tensor]
-    closing_m: Float32[Tensor, " b"]
 
     @property
     def width(self) -> int:
@@ -363,11 +339,9 @@ def _batch_of(scores: Scores) -> _Batch:
         se3.orthonormalise(torch.where(evaluated[:, None, None], T.to(device), eye))
         for T in executed
     )
-    grasped = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0))
+    attached = attach(T_obj_ee, torch.where(evaluated, scores.grasp_shift_m, 0.0)).contiguous()
     squeezed = scores.opening_m - evaluator.config.thresholds.pad_squeeze_m
     opening = torch.where(evaluated, squeezed, 0.0).clamp(min=0.0).contiguous()
-    attached, closing_m = _once_closed(scene, trials.object_index, grasped, opening, evaluated)
-    attached = attached.contiguous()
     T_world_obj = se3.matmul(T_world_ee.double(), se3.inverse(attached.double())).float()
     objects = trials.object_index.long()
     side = scene.hands.set.side.to(device)[trials.hand_index.long()].long()
@@ -401,7 +375,6 @@ def _batch_of(scores: Scores) -> _Batch:
             "T_world_obj": T_world_obj.contiguous(),
             "T_world_hand": trials.T_world_hand.contiguous(),
         },
-        closing_m,
     )
 
 
@@ -536,7 +509,6 @@ def _result(
         batch.of_trial["attached"],
         batch.of_trial["T_world_obj"],
         batch.of_trial["opening"],
-        batch.closing_m,
     )
 
 
@@ -572,7 +544,7 @@ def _carry(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
     """Writes the step hold: the hands carry the object, and the object does not turn in them while they pull.
 
     The gripper holds on at its TCP, as a point does, until `PULL_N`; then the hand has the weight alone. The person grips
-    as in a transfer (`capacity`): firmer with the load, both sides together with 2 `GRIP_N` at most.
+    as people do (`capacity`): firmer with the load, both sides together with 2 `GRIP_N` at most.
     """
     trial, k = torch.nonzero(passes[..., :5].all(2), as_tuple=True)
     pair = batch.pairs(trial, k, arms)

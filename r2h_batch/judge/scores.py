@@ -192,9 +192,7 @@ def _kind(found: dict[str, Tensor]) -> type[Scores]:
 
 def not_given(b: int, device: torch.device) -> dict[str, Tensor]:
     """The fields of `GivenScores` of B rows that nobody was asked to take."""
-    none = torch.full((b, 2), -1, dtype=torch.int32, device=device)
-    numbers = torch.full((b, 4), torch.nan, dtype=torch.float32, device=device)
-    return {"receives": none, "ends": none.clone(), "transfer": numbers}
+    return {"receives": torch.full((b, 2), -1, dtype=torch.int32, device=device)}
 
 
 def judged_later(

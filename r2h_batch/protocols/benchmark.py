@@ -81,7 +81,7 @@ class Benchmark:
         labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
         seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
         asks: criteria beside those of all benchmarks: none, or the first of `ASKED_NAMES`. With pick the object rests on the
-            table first; with received and taken the person takes it in the end.
+            table first; with received the person can take it in the end.
         certified: trials that were drawn again until they were known to have a whole way. Of another benchmark they say nothing.
     """
 
@@ -153,9 +153,22 @@ class Benchmark:
     def digest(self) -> str:
         """sha256 (hex) over everything that decides what is asked and how it is judged, whatever
         file said it."""
+        return self._redrawn(self._digest)
+
+    def digest_before(self, asks: Sequence[str]) -> str:
+        """The digest that r2h_batch 0.3 gave these trials: its Received took the object where a simulated closing had put
+        it, and it knew a criterion more.
+
+        Args:
+            asks: what the benchmark asked for then.
+        """
+        return self._redrawn(self._digest_of(f"asks {' '.join(asks)}\n" if asks else ""))
+
+    def _redrawn(self, digest: str) -> str:
+        """A digest of trials that are drawn once, with how often they were drawn again."""
         if (certified := self.own_certified) is None:
-            return self._digest
-        return hashlib.sha256(f"{self._digest} redrawn {certified.digest}".encode()).hexdigest()
+            return digest
+        return hashlib.sha256(f"{digest} redrawn {certified.digest}".encode()).hexdigest()
 
     @cached_property
     def undrawn_digest(self) -> str:
@@ -202,11 +215,17 @@ class Benchmark:
     @cached_property
     def _digest(self) -> str:
         """`digest` of trials that are drawn once."""
+        asks = f"asks {' '.join(self.asks)}\n" if self.asks else ""
+        if "received" in self.asks:  # where it is held, by geometry
+            asks += "received where it is held\n"
+        return self._digest_of(asks)
+
+    def _digest_of(self, asks: str) -> str:
+        """`_digest` with what the benchmark asks for in these words."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             digest.update(f"receiver {self.receiver}\n".encode())
-        if self.asks:
-            digest.update(f"asks {' '.join(self.asks)}\n".encode())
+        digest.update(asks.encode())
         if self.seed:
             digest.update(f"seed {self.seed}\n".encode())
         if self.people is not None:
@@ -368,11 +387,11 @@ class Benchmark:
         return replace(self, seed=seed)
 
     def until(self, stage: str) -> Self:
-        """The same benchmark that ends earlier: nobody is asked to take the object, or nobody is watched while taking it. The
-        trials are the same, the digest is another one.
+        """The same benchmark that ends earlier: nobody is asked to take the object. The trials are the same, the digest is
+        another one.
 
         Args:
-            stage: `present`: with the arm at rest; `received`: with the reception; `taken`: with the transfer.
+            stage: `present`: with the arm at rest; `received`: with the reception.
 
         Raises:
             ValueError: it is another word, or the benchmark does not ask for so much.

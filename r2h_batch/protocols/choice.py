@@ -32,8 +32,8 @@ class BenchmarkChoice:
     """Receivers of every size: adults, children, elderly, all, wheelchair, or your own .csv (import people)."""
     receiver: Literal["", "hand", "body"] = ""
     """Whether planning and Safe see the hand, or the person's arm and torso too."""
-    until: Literal["", "present", "received", "taken"] = ""
-    """Where trials of r2h-v3-draft end: present (nobody takes the object), received, or taken."""
+    until: Literal["", "present", "received"] = ""
+    """Where trials of r2h-v3-draft end: present (nobody is asked to take the object), or received."""
     turn: str = ""
     """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
     (`20,40,60`)."""

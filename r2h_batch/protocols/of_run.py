@@ -17,9 +17,10 @@ from r2h_batch.protocols.edit import edited
 from r2h_batch.protocols.family_objects import PREFIX, names_code
 from r2h_batch.protocols.load import names_function
 from r2h_batch.protocols.registry import BENCHMARK
+from r2h_batch.runs.before import tell_moved
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import ROBOTS
-from r2h_batch.verdicts import UNTIL
+from r2h_batch.verdicts import ASKED_NAMES, UNTIL
 
 IN_HEADER = ("receiver", "until")
 """Flags whose words run.json has elsewhere: in its configuration, in what its benchmark asks for."""
@@ -56,7 +57,8 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
             known = f"this installation has {', '.join(BENCHMARK)}; give its --benchmark"
             raise FileError(f"{where}: benchmark {printable(protocol)!r}; {known}")
         given = replace(given, benchmark=protocol)
-    asks = header.get("asks", ())
+    asked = tuple(header.get("asks", ()))
+    asks = [name for name in asked if name in ASKED_NAMES]
     given = replace(
         given,
         receiver=header["configuration"].get("receiver", "hand"),
@@ -67,6 +69,9 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest
+        if "received" in asks and digests["benchmark"] == benchmark.digest_before(asked):
+            found["benchmark"] = digests["benchmark"]
+            tell_moved(where)
     differing = [k for k, v in found.items() if digests.get(k) != v]
     pairs = zip(header.get("objects", ()), benchmark.objects, strict=False)
     if other := [o.name for entry, o in pairs if entry.get("digest", "") != object_digest(o)]:

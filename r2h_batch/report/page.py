@@ -28,8 +28,6 @@ from r2h_batch.report.table import (
     table_of,
 )
 from r2h_batch.report.text import NA, short_names
-from r2h_batch.report.transfers import HEADINGS as FUNNEL
-from r2h_batch.report.transfers import NOTE as TRANSFERS
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import EVERY, UNITS
@@ -114,9 +112,6 @@ def page(
         co_failures=_co_failures(counted, short),
         gallery=gallery or {},
         table=_table(table),
-        funnels=[[short[f.method], f.release, *f.cells] for f in table.funnels],
-        funnel=["Method", "release", *FUNNEL],
-        funnel_note=TRANSFERS,
         headings=list(table.headings.values()),
         shares=list(table.shares.values()),
         failing=[entry.heading for entry in table.failures.values()],

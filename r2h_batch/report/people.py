@@ -1,5 +1,5 @@
 """`report --by-people`: success by age, stature, hand, sex and seat, and the people whom no method serves; who could
-receive the object and who takes it, where `results reception` and `results transfer` have stored that."""
+receive the object, where `results reception` has stored that."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from r2h_batch.report.statistics.aggregate import wilson_interval
 from r2h_batch.report.text import aligned, csv_text, json_text, legend, notes_list, short_names
-from r2h_batch.report.transfers import TAKEN, takes_of
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import Outcome
 
@@ -54,7 +53,7 @@ class Served:
     success: NDArray[np.bool_]
     columns: Mapping[str, NDArray[Any]]
     later: Mapping[str, Mapping[str, NDArray[np.float64]]]
-    """`received`, or `taken, RELEASE` -> method -> (n,) share of a trial's simulated persons, NaN: not stored"""
+    """`received` -> method -> (n,) 1 or 0 of a trial, NaN: not stored"""
 
     def groups(self) -> list[tuple[str, str, Mask]]:
         """(what divides, group, its trials); groups without trials are left out."""
@@ -139,14 +138,6 @@ def _later(
         got = _received(run, method, trial_id, success[k])
         if got is not None:
             found.setdefault(RECEIVED, {})[method] = got
-        rows = takes_of(run, method)
-        for release in dict.fromkeys(rows["release"].tolist()) if rows else ():
-            of = rows["release"] == release
-            place = np.searchsorted(trial_id, rows["trial_id"][of])
-            count = np.bincount(place, minlength=len(trial_id)).astype(np.float64)
-            taken = np.bincount(place, rows["outcome"][of] == TAKEN, len(trial_id))
-            share = np.where(count > 0, taken / np.maximum(count, 1.0), np.nan)
-            found.setdefault(f"{TAKEN}, {release}", {})[method] = share
     return found
 
 
@@ -237,7 +228,7 @@ def _md(found: Served) -> str:
 def _later_tables(
     found: Served, groups: Sequence[tuple[str, str, Mask]], names: Mapping[str, str]
 ) -> list[str]:
-    """A table of received and taken, where these are stored."""
+    """A table of received, where that is stored."""
     if not found.later:
         return []
     cells = [(what, method) for what, of in found.later.items() for method in of]
@@ -246,10 +237,7 @@ def _later_tables(
         shares = [_mean(found.later[what][method][rows]) for what, method in cells]
         lines.append([by, group, *("-" if x is None else f"{100 * x:.1f}" for x in shares)])
     head = ["By", "Group", *(f"{names[method]}: {what}" for what, method in cells)]
-    note = (
-        "Received (results reception) and taken (results transfer, scenario take), % of the group's trials for which they are"
-        " stored: those with a pose. Of several simulated persons a trial counts the share. Not in SR."
-    )
+    note = "Received (results reception), % of the group's trials for which it is stored: those with a pose. Not in SR."
     return [aligned(head, lines, 2), notes_list([note])]
 
 

@@ -2,7 +2,7 @@
 object by object."""
 
 import textwrap
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from math import floor, log10
@@ -53,15 +53,11 @@ from r2h_batch.report.text import (
     tex_table,
 )
 from r2h_batch.report.trained import sentences
-from r2h_batch.report.transfers import HEADINGS as FUNNEL
-from r2h_batch.report.transfers import NOTE as TRANSFERS
-from r2h_batch.report.transfers import Funnel, funnels
-from r2h_batch.report.transfers import about as about_funnels
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.report.viewed import view_rates
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import IN_ORDER, SPLITS, UNITS, CriterionEntry
+from r2h_batch.verdicts import IN_ORDER, NO_LONGER, SPLITS, UNITS, CriterionEntry
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -125,7 +121,6 @@ class Table:
             motions of a file are not judged, a sentence each.
         turns: turn tests of the methods that have one (`turn.turned`).
         scans: the lines of the same methods on the reader's own objects, by split and method.
-        funnels: from success to taken, of the methods with stored transfers.
         bounds: methods that are bounds (random, oracle): none of their cells is best.
         trained: what methods that learned were trained on, a sentence each.
     """
@@ -136,7 +131,6 @@ class Table:
     misses: tuple[str, ...] = ()
     turns: tuple[Turned, ...] = ()
     scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
-    funnels: tuple[Funnel, ...] = ()
     bounds: tuple[str, ...] = ()
     trained: tuple[str, ...] = ()
 
@@ -158,9 +152,19 @@ class Table:
             *families,
             *(scans if own else []),
             *self.misses,
+            *self._no_longer(),
             *self.trained,
             *marks,
         )
+
+    def _no_longer(self) -> Iterator[str]:
+        """A sentence about the rows that failed what nobody judges by any more."""
+        for name in NO_LONGER:
+            for method in dict.fromkeys(row.method for row in self.rows):
+                own = [row for row in self.rows if row.method == method and row.split in SPLITS]
+                if lost := sum(row.counts[name] for row in own):
+                    of = f"{lost} of {sum(row.n for row in own)} rows of {method}"
+                    yield f"{of} failed {name.capitalize()}, by which r2h_batch 0.3 judged: failures without a column here."
 
     @property
     def failures(self) -> dict[str, CriterionEntry]:
@@ -277,7 +281,6 @@ def table_of(
         tuple(misses),
         turned(run),
         beside,
-        funnels(run),
         bounds,
         sentences(run),
     )
@@ -409,7 +412,6 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         rows = [_with_more(table, row) for row in table.rows]
         content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
         more = {"turns": about(table.turns)} if table.turns else {}
-        more |= {"transfers": about_funnels(table.funnels)} if table.funnels else {}
         return json_text(content | more)
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
@@ -619,9 +621,6 @@ def _md(table: Table) -> str:
         ]
         if lines:
             parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
-    if table.funnels:
-        lines = [[plain(short[f.method]), plain(f.release), *f.cells] for f in table.funnels]
-        parts += [TRANSFERS, aligned(["Method", "release", *FUNNEL], lines, 2)]
     notes = (
         plain(n) if n in table.trained else n for n in table.notes
     )  # a method's own words are a stranger's

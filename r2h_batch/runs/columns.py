@@ -71,17 +71,6 @@ def _asked(entry: CriterionEntry) -> str:
     return entry.name if entry.name in ASKED_NAMES else ""
 
 
-TRANSFERS = {
-    "transfer_slip_m": (
-        "slip of the object in the hand; null here and below: it did not happen",
-        "m",
-    ),
-    "transfer_turn_deg": ("its turn in the hand", "deg"),
-    "transfer_pull_n": ("the person's largest pull beyond the weight", "N"),
-    "transfer_s": ("from the beginning of the grip until the gripper is free", "s"),
-}
-"""Columns of `GivenScores.transfer` -> meaning and unit."""
-
 # fmt: off
 _ID = Column("trial_id", pa.int64(), "number of the trial, in the protocol's order", nullable=False)
 _OBJECT = Column("object", NAME, "name of the object", nullable=False)
@@ -127,10 +116,6 @@ TRIALS = (
            f"[why the person cannot take it](pick.md#received): {_words(r.name for r in ReceiveReason)}; null: not judged",
            since="0.3.0", asked="received"),
     Column("received_grasps", pa.int32(), "receiving grasps that pass every step", since="0.3.0", asked="received"),
-    Column("transfer_end", NAME, "[how the transfer ends](transfer.md#outcomes); null: not simulated", since="0.3.0",
-           asked="taken"),
-    Column("transfer_undecided", BOOL, "that hangs on less than the model knows", since="0.3.0", asked="taken"),
-    *(Column(name, FLOAT, meaning, unit, since="0.3.0", asked="taken") for name, (meaning, unit) in TRANSFERS.items()),
     Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
     Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
     Column("presented", BOOL,
@@ -236,16 +221,41 @@ TABLES = {
 """Kind of table in a run folder -> its columns, in order."""
 
 
-def schema_of_kind(kind: str, joints: int = 6, asks: Container[str] = ()) -> pa.Schema:
+UNREAD = {
+    "passed_received": {"passed_taken": BOOL},
+    "margin_received_m": {"margin_taken_m": FLOAT},
+    "margin_kind_received": {"margin_kind_taken": NAME},
+    "received_grasps": {
+        "transfer_end": NAME,
+        "transfer_undecided": BOOL,
+        **dict.fromkeys(
+            ("transfer_slip_m", "transfer_turn_deg", "transfer_pull_n", "transfer_s"), FLOAT
+        ),
+    },
+}
+"""A column of the trials -> the columns behind it that r2h_batch 0.3 stored for benchmarks that asked for Taken. Nobody reads
+them any more; the digests of such rows cover them."""
+
+
+def schema_of_kind(
+    kind: str, joints: int = 6, asks: Container[str] = (), *, unread: bool = False
+) -> pa.Schema:
     """The Arrow schema of a kind of table.
 
     Args:
         kind: a key of `TABLES`.
         joints: of the run's robot; the length of postures.
         asks: criteria that the run's benchmark asks for beside those of all.
+        unread: with the columns of older rows that nobody reads (`UNREAD`).
     """
-    columns = (c for c in TABLES[kind] if not c.asked or c.asked in asks)
-    return pa.schema([pa.field(c.name, _sized(c.type, joints), c.nullable) for c in columns])
+    older = UNREAD if unread and kind == "trials" and "taken" in asks else {}
+    fields = []
+    for c in TABLES[kind]:
+        if c.asked and c.asked not in asks:
+            continue
+        fields.append(pa.field(c.name, _sized(c.type, joints), c.nullable))
+        fields += [pa.field(name, type_) for name, type_ in older.get(c.name, {}).items()]
+    return pa.schema(fields)
 
 
 def _sized(kind: pa.DataType, joints: int) -> pa.DataType:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from r2h_batch.verdicts import EVERY, UNITS, Unit
+from r2h_batch.verdicts import EVERY, NO_LONGER, UNITS, Unit
 
 REASONS = {
     "start_in_collision": "the arm collides where its path begins",
@@ -32,17 +32,6 @@ RECEIVES = {
     "no_grasp": "no grasp of this hand is known",
 }
 """Why nobody can take the object, in words: what the last of the receiving grasps fails."""
-ENDS = {
-    "robot_dropped": "it slips out of the closed gripper before anybody grips it",
-    "badly_held": "the person has it, but it slipped or turned in the hand",
-    "dropped": "the gripper let go, and the hand lost it",
-    "torn_out": "the gripper lost it, and did not let go",
-    "hand_slipped_off": "the hand lost it, and the gripper holds it",
-    "not_released": "the gripper did not let go, and the person gave up",
-    "stuck": "the gripper let go, and it hangs on the fingers",
-    "exploded": "the simulation failed",
-}
-"""How a transfer fails, in words."""
 PICKS = {
     "out_of_reach": "the arm cannot reach the grasp where the object rests",
     "grasp_collides": "the open gripper meets something at the grasp",
@@ -101,6 +90,8 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     outcome = str(row["outcome"])
     if outcome == "success":
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
+    if outcome in NO_LONGER:
+        return f"{outcome} fails: r2h_batch 0.3 judged by it, this version does not"
     if outcome not in ENTRIES:
         return outcome.replace("_", " ")
     size, unit = short_by(row, outcome)
@@ -116,8 +107,8 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         why = PICKS.get(str(row.get("pick_reason")), "")
         met = f" ({found})" if (found := _pick_pair(row)) else ""
         return f"{words}{why}{met}{f', by {by}' if by else ''}".rstrip(" :,")
-    if outcome in ("received", "taken"):
-        return f"{words}{_giving_fails(row, outcome)}".rstrip(" :,")
+    if outcome == "received":
+        return f"{words}{RECEIVES.get(str(row.get('received_reason')), '')}".rstrip(" :,")
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is None:
@@ -128,18 +119,6 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if text is None or not by:
         return f"{words}{text or ''}".rstrip(" :,")
     return f"{words}{text}, by {by}"
-
-
-def _giving_fails(row: Mapping[str, Any], outcome: str) -> str:
-    """Why nobody can take the object, or how taking it ends, in words, with the numbers that say how far it was."""
-    if outcome == "received":
-        return RECEIVES.get(str(row.get("received_reason")), "")
-    end = str(row.get("transfer_end"))
-    slip, turn = (row.get(k) for k in ("transfer_slip_m", "transfer_turn_deg"))
-    known = slip is not None and turn is not None and end in ("badly_held", "dropped")
-    far = f" ({1e3 * slip:.0f} mm, {turn:.0f} deg)" if known else ""  # type: ignore[operator]
-    unsure = ", undecided" if row.get("transfer_undecided") else ""
-    return f"{ENDS.get(end, '')}{far}{unsure}"
 
 
 def _pick_pair(row: Mapping[str, Any]) -> str:
@@ -239,8 +218,6 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         return _pick_pair(row)
     if criterion == "received":
         return "the receiving grasps of this object and hand"
-    if criterion == "taken":
-        return "the simulated transfer: load-share, take, person 0"
     if criterion == "reach":
         return "the object's nearest point to the ball in front of the palm"
     return "the fingers and the receiver's part" if criterion == "affordance" else ""
@@ -261,8 +238,6 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
         return "a grasp that the table, the person and the arm leave room for"
     if criterion == "received":
         return "a handover pose that leaves the hand a grasp and a way to it"
-    if criterion == "taken":
-        return "a grasp that both hands hold under the weight and the pull"
     if by is None:
         return ""
     if criterion == "reach":

@@ -26,7 +26,7 @@ from r2h_batch.base.validate import rule_of
 from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import ASKED_NAMES
+from r2h_batch.verdicts import ASKED_NAMES, NO_LONGER
 
 FORMAT = 4
 """Version of the folder: fields of its JSON files and the form of its shards."""
@@ -42,8 +42,8 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 chunk, so a dictionary stores them in less than a bit a trial."""
 
 FOLDERS = ("shards", "methods", "quarantine", ".claims")
-SIDE_FOLDERS = ("held", "picked", "reception", "transfer", "viewed")
-"""Folders of a run; a link in the place of one is refused. The last five hold a file for each method (side.py)."""
+SIDE_FOLDERS = ("held", "picked", "reception", "viewed")
+"""Folders of a run; a link in the place of one is refused. The last four hold a file for each method (side.py)."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
 MAX_TEXT = 4096
@@ -150,7 +150,7 @@ Header = _record(
     sees=(_Sees, _ABSENT),
     objects=(list[_Object], _ABSENT),
     # criteria that its benchmark asks for beside those of all; the benchmark's digest knows them
-    asks=(list[Literal[ASKED_NAMES]], _ABSENT),  # type: ignore[valid-type]
+    asks=(list[Literal[(*ASKED_NAMES, *NO_LONGER)]], _ABSENT),  # type: ignore[valid-type]
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
     robot=(_Robot, _ABSENT),
     hands=(list[JsonValue], _ABSENT),  # sides of the hand set in order, as (side, number of hands)
@@ -359,10 +359,12 @@ def planned_in(header: Mapping[str, Any], shard: Shard) -> dict[str, int]:
     return counts
 
 
-def schema_of(header: Mapping[str, Any], kind: str) -> pa.Schema:
-    """The columns of a kind of table in this run, whose postures are as long as its home posture."""
+def schema_of(header: Mapping[str, Any], kind: str, *, unread: bool = False) -> pa.Schema:
+    """The columns of a kind of table in this run, whose postures are as long as its home posture. `unread`: as of
+    `schema_of_kind`."""
     home = header["configuration"].get("workplace", {}).get("home_q")
-    return schema_of_kind(kind, 6 if home is None else len(home), header.get("asks", ()))
+    joints = 6 if home is None else len(home)
+    return schema_of_kind(kind, joints, header.get("asks", ()), unread=unread)
 
 
 def motions_left_out(left_out: Mapping[str, str]) -> list[str]:

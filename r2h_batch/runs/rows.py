@@ -11,7 +11,6 @@ from r2h_batch.runs.columns import (
     BOOL,
     DETAILS,
     ENDS,
-    TRANSFERS,
     TRIALS,
     Column,
     later,
@@ -19,11 +18,11 @@ from r2h_batch.runs.columns import (
 )
 from r2h_batch.verdicts import (
     EVERY,
+    NO_LONGER,
     PERSON,
     SEXES,
     SIDES,
     SPLITS,
-    TRANSFER_ENDS,
     CollidingPair,
     MarginKind,
     Outcome,
@@ -39,8 +38,8 @@ MISSING = max(Outcome) + 1
 """Outcome code of a planned trial for which the method gave no prediction: it counts as a failure
 of its own kind."""
 
-OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing")
-"""Name of every outcome code, in order."""
+OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing", *NO_LONGER)
+"""Name of every outcome code, in order; the last ones are of older rows alone."""
 
 KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 """Name of every kind of margin, in order from code 1."""
@@ -178,16 +177,9 @@ def score_rows(
         columns["pick_pair"] = _named(np.where(met == CollidingPair.NONE, -1, met), pairs)
         columns["pick_part"] = _named(part, names.parts)
     if "received" in scores.criteria:
-        (reason, grasps), (end, undecided) = (
-            _array(vars(scores)[k]).T for k in ("receives", "ends")
-        )
+        reason, grasps = _array(vars(scores)["receives"]).T
         columns["received_reason"] = _named(reason, [r.name.lower() for r in ReceiveReason])
         columns["received_grasps"] = pa.array(grasps, pa.int32(), mask=grasps < 0)
-        columns["transfer_end"] = _named(end, TRANSFER_ENDS)
-        columns["transfer_undecided"] = pa.array(undecided > 0, BOOL, mask=undecided < 0)
-        columns |= dict(
-            zip(TRANSFERS, map(_floats, _array(vars(scores)["transfer"]).T), strict=True)
-        )
     for i, entry in enumerate(EVERY[: passed.shape[1]]):
         c = entry.name
         columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])

@@ -155,7 +155,7 @@ class StoredShard:
                 rows[n] if n == "trial_id" else pc.struct_field(rows[kind], n) for n in there
             ]
             table = pa.table(columns_, names=there)
-        schema = schema_of(self.header, kind)
+        schema = schema_of(self.header, kind, unread=True)
         check_columns(table, schema, self.path)
         return table.select(there).cast(pa.schema([schema.field(n) for n in there]))
 

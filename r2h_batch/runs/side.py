@@ -1,8 +1,8 @@
-"""Files beside the shards, one for each method: RUN/held, picked, reception, transfer and viewed/METHOD.parquet.
+"""Files beside the shards, one for each method: RUN/held, picked, reception and viewed/METHOD.parquet.
 
 `r2h-batch results` makes them of stored rows. Their size is bounded by the rows of the run before they are read. Their columns
-must be those that were written: the footer has a digest of them. Their trials and successes must be those of the shards, and
-nobody takes what was not received. What they say beyond that is believed.
+must be those that were written: the footer has a digest of them. Their trials and successes must be those of the shards.
+What they say beyond that is believed.
 """
 
 import hashlib
@@ -35,13 +35,11 @@ class Kind(NamedTuple):
 
     Attributes:
         columns: name -> type, `trial_id` and `success` among them.
-        key: columns that together no two rows share.
         gaps: columns that may have gaps.
         of_rows: whether the file says of which rows it was made, so that its successes must be theirs.
     """
 
     columns: Mapping[str, pa.DataType]
-    key: tuple[str, ...] = ("trial_id",)
     gaps: tuple[str, ...] = ()
     of_rows: bool = True
 
@@ -55,15 +53,9 @@ KINDS = {
         gaps=("pick_pair",),
     ),
     "reception": Kind({**_TRIAL, "evaluated": _YES, "received": _YES}, of_rows=False),
-    "transfer": Kind(
-        {**_TRIAL, "release": _WORD, "scenario": _WORD, "person": pa.int16(), "received": _YES, "outcome": _WORD},
-        key=("trial_id", "release", "scenario", "person"),
-    ),
     "viewed": Kind({**_TRIAL, "split": _WORD, "viewed": pa.float32()}),
 }  # fmt: skip
 
-MOST_CASES = 1000
-"""Rows of a trial: policies, scenarios and persons of a transfer."""
 FREE_BYTES, ROW_BYTES, MOST_BYTES = 16 << 20, 512, 1 << 30
 """Memory that a file may take: some, more for each row that it may have, and never more than the last."""
 DIGEST = b"r2h_batch columns"
@@ -184,8 +176,8 @@ def unbounded(path: Path, trials: int) -> str:
         return f"{size} bytes; at most {most} are allowed for {trials} trials"
     try:
         with _opened(path) as file:
-            if (rows := file.metadata.num_rows) > trials * MOST_CASES:
-                return f"{rows} rows; at most {MOST_CASES} for each of {trials} trials are allowed"
+            if (rows := file.metadata.num_rows) > trials:
+                return f"{rows} rows; at most one for each of {trials} trials is allowed"
             check_decoded_size(file, _most_bytes(trials), "")
             for name in _words_of(file.schema_arrow):
                 chunks = file.read(columns=[name])[name].chunks
@@ -211,7 +203,7 @@ def _words_of(schema: pa.Schema) -> list[str]:
 
 
 def _most_bytes(trials: int) -> int:
-    return min(MOST_BYTES, FREE_BYTES + ROW_BYTES * MOST_CASES * trials)
+    return min(MOST_BYTES, FREE_BYTES + ROW_BYTES * trials)
 
 
 def about_side(path: Path, made_of: bytes) -> dict[str, Any]:
@@ -300,14 +292,10 @@ def _not_of_run(
     ids = table["trial_id"].to_numpy()
     if len(strange := ids[~np.isin(ids, trial_id)]):
         return f"trial {strange[0]} is not in this run"
-    each = table.group_by(list(kind.key)).aggregate([([], "count_all")])
+    each = table.group_by("trial_id").aggregate([([], "count_all")])
     if len(each) < len(table):
         twice = each.filter(pc.greater(each["count_all"], 1))["trial_id"][0]
-        return f"trial {twice} stands there twice for one {' and '.join(kind.key)}"
-    if "outcome" in table.column_names:
-        odd = pc.and_(pc.equal(table["outcome"], "taken"), pc.invert(table["received"]))
-        if len(odd_ids := table.filter(odd)["trial_id"]):
-            return f"trial {odd_ids[0]} is taken, and not received"
+        return f"trial {twice} stands there twice"
     if kind.of_rows and len(ids):
         order = np.argsort(trial_id)
         own = success[order][np.searchsorted(trial_id[order], ids)]

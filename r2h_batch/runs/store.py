@@ -7,7 +7,7 @@ methods/METHOD.json                a method, and where its answers come from
 shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
 quarantine/METHOD/000017.json      a shard that failed three times, and its errors
 .claims/METHOD-000017              who works on a shard, and how many processes died at it
-held/METHOD.parquet                and reception/, transfer/: what `r2h-batch results` made of the rows (side.py)
+held/METHOD.parquet                and reception/: what `r2h-batch results` made of the rows (side.py)
 """
 
 import csv
@@ -32,6 +32,7 @@ from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
 from r2h_batch.base.validate import path as path_of
+from r2h_batch.runs.before import tell_unread
 from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
@@ -98,8 +99,8 @@ class Run:
 
     @property
     def asks(self) -> tuple[str, ...]:
-        """Criteria that its benchmark asks for beside those of all."""
-        return tuple(self.header.get("asks", ()))
+        """Criteria that its benchmark asks for beside those of all, of those that there still are."""
+        return tuple(name for name in self.header.get("asks", ()) if name in ASKED_NAMES)
 
     @property
     def criteria(self) -> tuple[CriterionEntry, ...]:
@@ -486,7 +487,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, picked, reception, transfer or viewed.
+            folder: held, picked, reception or viewed.
             path: the file; None: that of the method.
 
         Raises:
@@ -533,7 +534,8 @@ class Run:
             method: its name in the run.
         """
         entry = self.entry(method)
-        columns = [c for c in schema_of(entry.header, "trials").names if c not in TIMING]
+        stored_ones = schema_of(entry.header, "trials", unread=True).names
+        columns = [c for c in stored_ones if c not in TIMING]
         hashes: dict[tuple[str, str], Any] = defaultdict(hashlib.sha256)
         for stored in entry.shards.values():
             table = stored.table("trials", columns)
@@ -611,6 +613,7 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """
     folder = path_of("folder", folder)
     header = read_header(folder)
+    tell_unread(folder, header)
     run = Run(folder, header, tuple(e.listed() for e in read_methods(folder, header)))
     if verify:
         run.verify()

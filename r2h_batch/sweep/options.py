@@ -111,9 +111,9 @@ class Flags:
         ),
     ] = ""
     until: Annotated[
-        Literal["", "present", "received", "taken"],
+        Literal["", "present", "received"],
         Flag(
-            "where trials of r2h-v3-draft end: present (nobody takes the object), received, or taken; default: the benchmark's",
+            "where trials of r2h-v3-draft end: present (nobody is asked to take it), or received; default: the benchmark's",
             "trials",
         ),
     ] = ""

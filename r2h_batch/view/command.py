@@ -36,8 +36,6 @@ def view(
     port: int = 8080,
     receiver_motion: str = "",
     policy: str = "planned",
-    transfer: str = "",
-    release: str = "load-share",
     overwrite: bool = False,
     benchmark: BenchmarkChoice = DEFAULT,
 ) -> int:
@@ -65,8 +63,6 @@ def view(
         receiver_motion: films, strips: play the trial in closed loop, with a hand that moves as in
             `sweep`.
         policy: closed loop: the policy that moves the arm, as in `sweep`.
-        transfer: film: what happens after the arm stands still, in a scenario of `results transfer`.
-        release: transfer: the policy that lets go, as in `results transfer`.
         overwrite: replace files that are there.
         benchmark: where its files are now, if they are not where the sweep found them.
     """
@@ -105,10 +101,6 @@ def view(
         raise UsageError("--receiver-motion is played in --video and --strips; give one of them")
     if receiver_motion and find_spec("gymnasium") is None:
         raise UsageError("--receiver-motion needs gymnasium: pip install 'r2h_batch[env]'")
-    if transfer and (
-        video is None or trial is None or html or strips or receiver_motion or len(method) > 1
-    ):
-        raise UsageError("--transfer needs --video, --trial and one --method, and no other output")
     for file, flag, endings in outputs:
         if file is not None and not one_of_each:
             check_output_file(file, overwrite=overwrite, flag=flag, endings=endings)
@@ -122,10 +114,6 @@ def view(
     else:
         for word in words:
             stored.complete(word)
-    if transfer:
-        from r2h_batch.sweep.results.command import check_cases
-
-        check_cases([release], [transfer], flag="--transfer")
     if pictures:
         from r2h_batch.scene.offscreen import ready
 
@@ -133,15 +121,6 @@ def view(
     from r2h_batch.view.stored import Reader
 
     reader = Reader(stored, benchmark)
-    if transfer and trial is not None and video is not None:
-        from r2h_batch.closed_loop.transfer.cases import Case
-        from r2h_batch.view.transfer import write_transfer_film
-
-        case, name = Case(release, transfer, 0), method[0] if method else None
-        wanted: Any = {"size": size or (960, 720), "fps": fps, "benchmark": benchmark}
-        ended = write_transfer_film(reader, trial, name, case, video, **wanted)
-        print(f"{video}: {ended.replace('_', ' ')}")
-        return 0
     only: list[int] | None = None
     if one_of_each:
         from r2h_batch.view.stored import one_failure_of_each

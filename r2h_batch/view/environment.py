@@ -121,7 +121,7 @@ class DrawnTableHandoverEnv(DrawnHandoverEnv, TableHandoverEnv):
 
 _INNER = ("self", "scores", "more")
 """Names of parameters that a caller of `make_vec` does not give."""
-_WAYS = ("action", "release", "output", "privileged")
+_WAYS = ("action", "output", "privileged")
 """Arguments of `HandoverEnv` that are checked before a method answers."""
 _DRAWS: dict[str, Any] = {"render_modes": ["rgb_array"]}
 

@@ -1,4 +1,4 @@
-"""Films of trials: their legs, their motion, and what stands before and after it."""
+"""Films of trials: their legs, their motion, and what stands before it."""
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -32,7 +32,7 @@ LEAST_CAPTIONED, LEAST_LETTERS = (
 
 
 class Clip(NamedTuple):
-    """Pictures before or after the motion of a trial: how many, what draws them at a width and height, what they show."""
+    """Pictures before the motion of a trial: how many, what draws them at a width and height, what they show."""
 
     length: int
     images: Callable[[tuple[int, int]], Iterator[Image]]
@@ -40,11 +40,10 @@ class Clip(NamedTuple):
 
 
 class Story(NamedTuple):
-    """A trial as a film tells it: what stands before its legs and motion, and what behind."""
+    """A trial as a film tells it, and what stands before its legs and motion."""
 
     drawing: Drawing
     before: Clip | None = None
-    after: Clip | None = None
 
 
 def write_film(stories: Sequence[Story], out: Path, *, size: tuple[int, int], fps: int) -> None:
@@ -71,11 +70,10 @@ def write_film(stories: Sequence[Story], out: Path, *, size: tuple[int, int], fp
 
 def _count(story: Story, fps: int) -> int:
     """Images of a film of one trial."""
-    drawing, before, after = story
+    drawing, before = story
     legs = sum(len(_times(leg, fps)) for leg in drawing.legs)
-    own = len(_times(drawing, fps, rests=after is None))
-    end = after.length + len(_rest(fps)) if after else 0
-    return (before.length if before else 0) + legs + own + end
+    own = len(_times(drawing, fps, rests=True))
+    return (before.length if before else 0) + legs + own
 
 
 def _times(drawing: Drawing, fps: int, *, rests: bool = False) -> Array:
@@ -83,11 +81,6 @@ def _times(drawing: Drawing, fps: int, *, rests: bool = False) -> Array:
     if not drawing.stored.moves:
         return np.arange(0.0, STILL_S, 1.0 / fps)
     return np.arange(0.0, drawing.motion()[0][-1] + (REST_S if rests else 0.0), 1.0 / fps)
-
-
-def _rest(fps: int) -> Array:
-    """When the images of a rest are, s."""
-    return np.arange(0.0, REST_S, 1.0 / fps)
 
 
 def _film(story: Story, size: tuple[int, int], fps: int, view: View) -> Iterator[Image]:
@@ -116,22 +109,21 @@ def _film(story: Story, size: tuple[int, int], fps: int, view: View) -> Iterator
                 image = paint(motion[np.abs(times - t).argmin()], "region")
                 yield letters.around(image, head, words)
         before_s += float(times[-1])
-    yield from _moving(story, letters, fps, view, head, verdict, before_s)
-    if story.after is not None:
-        pictures = list(story.after.images(letters.inner))
-        for picture in pictures:
-            yield letters.around(picture, head, [story.after.shows, ""])
-        for _ in _rest(fps):
-            yield letters.around(pictures[-1], head, [story.after.shows, verdict])
+    yield from _moving(drawing, letters, fps, view, head, verdict, before_s)
 
 
 def _moving(
-    story: Story, letters: "Caption", fps: int, view: View, head: str, verdict: str, before_s: float
+    drawing: Drawing,
+    letters: "Caption",
+    fps: int,
+    view: View,
+    head: str,
+    verdict: str,
+    before_s: float,
 ) -> Iterator[Image]:
-    """The images of the motion, and of the rest at its end where nothing follows."""
-    drawing = story.drawing
+    """The images of the motion, and of the rest at its end."""
     times, motion = drawing.motion()
-    at = _times(drawing, fps, rests=story.after is None)
+    at = _times(drawing, fps, rests=True)
     fails_s = drawing.fails_at_s
     decided_s = fails_s if fails_s is not None else float(times[-1])
     if fails_s is not None:  # the one before it becomes that moment

@@ -34,7 +34,7 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, UNITS
+from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, NO_LONGER, UNITS
 from r2h_batch.view.believed import as_believed
 from r2h_batch.view.legs import with_legs
 from r2h_batch.view.postures import postures_at
@@ -177,7 +177,7 @@ class Reader:
 def one_failure_of_each(rows: Sequence[Mapping[str, Any]]) -> dict[str, int]:
     """Kind of failure -> the first trial that has it, in the order of the criteria; Plan's by their reasons."""
     found: dict[str, int] = {}
-    order = [entry.name for entry in IN_ORDER]
+    order = [*(entry.name for entry in IN_ORDER), *NO_LONGER]
     for row in sorted(rows, key=lambda r: r["trial_id"]):
         if row["outcome"] in order:
             plan = row["outcome"] == "plan"

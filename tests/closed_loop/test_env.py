@@ -23,7 +23,6 @@ from r2h_batch.closed_loop.env import End, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.moving import ReceiverMotion, Taken
 from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan
 from r2h_batch.closed_loop.relative import CAP_M
-from r2h_batch.closed_loop.transfer import in_loop
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError, Thresholds
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import hand_distance_at
@@ -418,7 +417,6 @@ def test_gymnasiums_checker_passes_and_what_does_not_fit_is_refused(evaluator, s
         ({"privileged": "yes"}, TypeError, "privileged is 'yes'"),
         ({"autoreset": 3}, TypeError, "autoreset is 3"),
         ({"motion": 5}, TypeError, "motion is 5; it must be a str or ReceiverMotion"),
-        ({"motion": "takes", "release": 5}, TypeError, "release is 5"),
     ):
         with pytest.raises(error, match=words):
             envs.HandoverEnv(scores, **wrong)
@@ -788,111 +786,3 @@ def moved_by(T, way):
     T = T.clone()
     T[:, :3, 3] += way
     return T
-
-
-@pytest.fixture(scope="module")
-def takeable(scores):
-    """Handovers that the hand comes to and takes where nobody asks how."""
-    _, e = played(scores, "planned", "takes")
-    return scores[(e.end == int(End.SUCCESS)).nonzero().flatten()[:3]]
-
-
-class LetsGo:
-    """Follows the plan, and opens so long after it first felt the wrist."""
-
-    def __init__(self, env, after_s):
-        self.planned, self.after_s, self.step_s = Planned(env), after_s, env.step_s
-        self.felt_s = torch.zeros(env.num_envs)
-
-    def __call__(self, seen):
-        self.felt_s += (seen["wrist_force"] != 0).any(1) * self.step_s
-        opens = torch.where(self.felt_s > self.after_s, 1.0, -1.0)
-        return torch.cat([self.planned(seen), opens[:, None]], 1)
-
-
-def test_an_episode_may_end_with_the_transfer_and_says_how_it_went(takeable):
-    env = HandoverEnv(takeable, "takes", action=Planned.action, release="load-share")
-    e = run(env, Planned)
-    how = env._info(None)["transfer"]
-    assert set(how) <= {"taken", "badly_held", "dropped", "robot_dropped", "not_released", "torn_out", "stuck"}
-    assert ((e.end == int(End.SUCCESS)).numpy() == (how == "taken")).all() and "taken" in how
-    assert (e.end.numpy()[how != "taken"] == int(End.NOT_TAKEN)).all()
-    assert (e.time_s > env.hands.taken_s.float() + 0.3).all()
-    apart = HandoverEnv(takeable[1:2], "takes", action=Planned.action, release="load-share")
-    alone = run(apart, Planned)
-    assert alone.end[0] == e.end[1] and alone.time_s[0] == e.time_s[1]
-
-
-def test_the_person_who_takes_is_of_the_rows_seed(takeable, monkeypatch):
-    drawn, draw = [], in_loop.draw_persons
-    monkeypatch.setattr(in_loop, "draw_persons", lambda *a: drawn.append(draw(*a)) or drawn[-1])
-    same = takeable[torch.zeros(4, dtype=torch.int64)]
-    for seeds, different in (([0, 1, 2, 3], True), ([0] * 4, False)):
-        drawn.clear()
-        env = HandoverEnv(same, "takes", action=Planned.action, release="load-share")
-        seen, _ = env.reset(seed=seeds)
-        policy = Planned(env)
-        while running(env) and len(drawn) < 2:
-            seen, *_ = env.step(policy(seen))
-        assert len(drawn) >= 2 and len({float(d.grip[0]) for d in drawn}) == (len(drawn) if different else 1)
-
-
-def test_an_action_opens_the_gripper_and_one_that_never_does_keeps_it(takeable):
-    ends, times = [], []
-    for seconds in (0.8, 100.0):
-        env = HandoverEnv(takeable, "takes", action=Planned.action, release="action")
-        assert env.single_action_space.shape == (7,)
-        seen, _ = env.reset()
-        policy, last = LetsGo(env, seconds), torch.full((env.num_envs,), torch.nan)
-        while running(env):
-            going = env.ends == int(End.RUNNING)
-            seen, reward, *_ = env.step(policy(seen))
-            last = torch.where(going & (env.ends != int(End.RUNNING)), reward, last)
-        e = env.episodes()
-        ends.append(env._info(None)["transfer"])
-        times.append(e.time_s)
-        lost, won = (e.end == int(end) for end in (End.NOT_TAKEN, End.SUCCESS))
-        cost = 0.1 * env.step_s / env.config.horizon_s
-        assert (lost | won).all() and torch.allclose(last, won.float() - lost.float() - cost, atol=1e-6)
-    assert "taken" in ends[0] and "taken" not in ends[1] and "not_released" in ends[1]
-    assert ((times[0] < times[1]) | torch.from_numpy(ends[0] != "taken")).all()
-
-
-def test_an_episode_that_begins_in_the_middle_of_a_transfer_has_none_yet(takeable):
-    """The one that was reset goes as an episode of a loop of its own; the others go on."""
-    env, n = HandoverEnv(takeable, "takes", action=Planned.action, release="action"), len(takeable)
-    seen, _ = env.reset()
-    policy, never = Planned(env), -torch.ones(n, 1)
-
-    def step(seen):
-        return env.step(torch.cat([policy(seen), never], 1))[0]
-
-    def held(seen):
-        return (seen["wrist_force"] != 0).any(1) & (env.ends == int(End.RUNNING))
-
-    while not held(seen).any():
-        assert running(env)
-        seen = step(seen)
-    row = int(held(seen).nonzero()[0, 0])
-    others = held(seen) & (torch.arange(n) != row)
-    seen, info = env.reset(options={"reset_mask": np.arange(n) == row})
-    assert (seen["wrist_force"][row] == 0).all() and torch.equal(held(seen), others)
-    assert info["transfer"][row] == "" and info["end"][row] == "running"
-    q = seen["q"][row].clone()
-    for _ in range(3):  # nobody takes anything from it: the arm moves, and nothing pulls at the wrist
-        seen = env.step(torch.cat([takeable.q_goal, never], 1))[0]
-        assert (seen["wrist_force"][row] == 0).all()
-    assert not torch.equal(seen["q"][row], q)
-
-
-def test_gymnasiums_checker_passes_with_an_action_to_open_and_what_does_not_fit_is_refused(scores):
-    one = envs.HandoverEnv(scores[:1], "takes", config=LoopConfig(horizon_s=1), release="action")
-    check_env(SingleHandoverEnv(one), skip_render_check=True)
-    seen, _ = one.reset(seed=5)
-    assert one.observation_space.contains(seen) and seen["wrist_force"].shape == (1, 3)
-    with pytest.raises(ValueError, match="release needs receivers that take"):
-        HandoverEnv(scores, "moves", release="load-share")
-    with pytest.raises(ValueError, match='release="action" needs action velocity, twist or posture'):
-        HandoverEnv(scores, "takes", action="pose", release="action")
-    with pytest.raises(ImportError, match="no release policy is called 'soon'"):
-        HandoverEnv(scores, "takes", release="soon")

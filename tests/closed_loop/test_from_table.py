@@ -20,7 +20,7 @@ from r2h_batch.closed_loop.episodes import Loop, env_class
 from r2h_batch.closed_loop.from_table import Phase
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
-from r2h_batch.closed_loop.registered import TABLE_ID, register
+from r2h_batch.closed_loop.registered import ID, register
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp_physics import CLOSING_M_S
@@ -76,7 +76,7 @@ def test_the_scripted_pick_beside_a_still_hand_ends_as_the_draft_judges_the_plan
     asked = np.array([Outcome(int(x)).name.lower() for x in poor.outcome])
     differs = [(i, a, b) for i, (a, b) in enumerate(zip(asked, info["outcome"], strict=True)) if kept[i] and a != b]
     assert not differs
-    assert {"success", "affordance", "received", "taken"} <= set(asked)
+    assert {"success", "affordance", "received"} <= set(asked)
     lifted = poor.passed[:, poor.criteria.index("pick")] & kept
     assert (info["pick_reason"][lifted.numpy()] == "ok").all()
     # the gripper has closed as Stability closes it, where it was asked to
@@ -215,11 +215,8 @@ def test_the_giving_is_asked_for_as_far_as_the_benchmark_asks(monkeypatch):
     def given(scores):
         found = real(scores)
         asked.append(tuple(found.criteria[5:]))
-        # the first is not received, the second not taken
         passed = found.passed.clone()
         passed[0, found.criteria.index("received")] = False
-        if "taken" in found.criteria and len(passed) > 1:
-            passed[1, found.criteria.index("taken")] = False
         return replace(found, passed=passed)
 
     monkeypatch.setattr(tables, "given", given)
@@ -227,7 +224,6 @@ def test_the_giving_is_asked_for_as_far_as_the_benchmark_asks(monkeypatch):
         {
             "present": ["success"] * 4,
             "received": ["received", "success", "success", "success"],
-            "taken": ["received", "taken", "success", "success"],
         }.items()
     ):
         asked.clear()
@@ -391,9 +387,10 @@ def test_what_does_not_fit_is_refused_and_other_benchmarks_begin_in_the_gripper(
 
 def test_gymnasiums_checker_passes():
     register()
-    env = gymnasium.make(TABLE_ID, method="fc", trials=1, config=LoopConfig(horizon_s=1))
+    how = {"benchmark": "r2h-v3-draft", "method": "fc", "trials": 1}
+    env = gymnasium.make(ID, config=LoopConfig(horizon_s=1), **how)
     check_env(env.unwrapped, skip_render_check=True)
-    envs = gymnasium.make_vec(TABLE_ID, num_envs=2, vectorization_mode="vector_entry_point", method="fc", trials=1)
+    envs = gymnasium.make_vec(ID, num_envs=2, vectorization_mode="vector_entry_point", **how)
     seen, info = envs.reset(seed=[1, 2])
     assert envs.observation_space.contains(seen) and info["outcome"].tolist() == ["", ""]
     assert envs.single_action_space.shape == (7,) and envs.config.horizon_s == 30

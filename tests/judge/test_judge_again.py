@@ -9,16 +9,11 @@ import pytest
 import torch
 from judge_twin import Again
 from people_twin import episode_of, reception_of
-from transfer_twin import Start, held_of, transfer_of
 
 from r2h_batch import Evaluator, evaluate, load_benchmark
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
-from r2h_batch.closed_loop.transfer.cases import Case, Simulator
-from r2h_batch.closed_loop.transfer.handed import gripped_of, handed_of
-from r2h_batch.closed_loop.transfer.model import Setting
-from r2h_batch.closed_loop.transfer.simulate import noise_of
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import metrics, plan
 from r2h_batch.judge.motion import time_law
@@ -168,13 +163,15 @@ def test_a_reception_is_right_and_one_that_lies_is_noticed(handed_over, monkeypa
     assert bool(found.received[0]) and [f for f in reception_of(twin, found, 0) if not f.holds] == []
     nearer = found.T_world_hand.clone()
     nearer[:, :3, 3] += 0.3 * (scores.inputs.T_world_ee[:, :3, 3] - nearer[:, :3, 3])
+    farther = found.T_obj_ee.clone()
+    farther[:, 0, 3] += 1e-4
     lies = {
         "effort": replace(found, effort=found.effort + 2e-4),
         "travel, m": replace(found, travel_m=found.travel_m + 2e-4),
         "turn, degrees": replace(found, turn_deg=found.turn_deg + 0.1),
         "hand beside its grasp": replace(found, T_world_hand=nearer),
         "upper arm, m": replace(found, elbow=found.elbow + 0.01),
-        "closing, m": replace(found, closing_m=found.closing_m + 1e-4),
+        "held beside where it closes, m": replace(found, T_obj_ee=farther),
         "counts fall": replace(found, count=found.count.flip(1) - torch.arange(6, dtype=torch.int16)),
         "arm and torso to robot, m": replace(found, elbow=scores.inputs.T_world_ee[:, :3, 3]),
     }
@@ -204,88 +201,3 @@ def test_an_episode_is_right_and_one_that_lies_is_noticed(handed_over):
     for noticed, lie in lies.items():
         told = SimpleNamespace(episodes=lambda lie=lie: lie, config=env.config, trace=env.trace)
         assert noticed in {f.name for f in episode_of(twin, told, 0) if not f.holds}, noticed
-
-
-HELD = ("closing_m", "squeezed_m", "slip_m", "turn_deg", "carries")
-
-
-def says_held(twin: Again) -> dict[str, Any]:
-    """A row of held/METHOD.parquet of this row."""
-    evaluator = Evaluator(load_benchmark("r2h-v1"), KINEMATIC)
-    T = (torch.tensor(T[None], dtype=torch.float32) for T in (twin.T_obj_ee, twin.T_world_ee))
-    scores = evaluator.score(*T, twin.trials, stages="pose")
-    gripped = gripped_of(scores, twin.trials.trial_id.numpy())
-    found = Simulator(twin.robot, tuple(twin.scene.objects), Setting(), 0).hold(gripped)
-    words = {"lost": found.lost[0], "undecided": bool(found.undecided[0]), "settled": bool(found.settled[0])}
-    return words | {k: float(getattr(found, k)[0]) for k in HELD}
-
-
-@pytest.fixture(scope="module")
-def bowl() -> Again:
-    """A row of which half the step says the same in all."""
-    return again(1)
-
-
-@pytest.fixture(scope="module")
-def held(bowl):
-    return says_held(bowl)
-
-
-@pytest.mark.check
-def test_what_a_closed_gripper_holds_is_right(bowl, held):
-    found = list(held_of(bowl, held))
-    assert [f for f in found if f.kind == "open" or f.wrong] == []
-    assert {f.name for f in found} == {"is_asked", "lost", "settled", *HELD}
-
-
-@pytest.mark.parametrize(
-    ("changes", "noticed"),
-    [
-        ({"lost": "weight"}, "lost"),
-        ({"settled": False}, "settled"),
-        ({"closing_m": 0.02}, "closing_m"),
-        ({"slip_m": 0.02}, "slip_m"),
-        ({"turn_deg": 25.0}, "turn_deg"),
-        ({"carries": 0.01}, "carries"),
-    ],
-)
-def test_a_held_row_that_lies_is_noticed(changes, noticed, bowl, held):
-    assert noticed in {f.name for f in held_of(bowl, held | changes) if f.kind == "fact" and f.wrong}
-    assert [f.name for f in held_of(bowl, {}) if f.wrong] == ["is_asked"]
-
-
-TOLD = ("transfer_s", "pull_n", "hand_n", "grip_n", "slip_m", "turn_deg", "robot_slip_m")
-
-
-@pytest.fixture(scope="module")
-def taken() -> tuple[Start, dict[str, Any]]:
-    """A received answer of the oracle, how its transfer starts, and what a row of transfer/METHOD.parquet says of it."""
-    evaluator, trial_id = Evaluator(load_benchmark("r2h-v1"), KINEMATIC), np.array([46])
-    (row,) = [r for r in SHIPPED.poses("oracle").to_pylist() if r["trial_id"] == 46]
-    T = [torch.tensor(row[k]).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
-    every = load_benchmark("r2h-v1").trials(24)
-    trials = every[every.trial_id == 46]
-    handed = handed_of(reception(evaluator.score(*T, trials, stages="pose")), trial_id, trials, evaluator.scene)
-    objects, case = tuple(evaluator.scene.objects), Case("threshold", "take", 0)
-    (found,) = Simulator(evaluator.scene.robot, objects, Setting(), 0)(handed, [case])
-    own = {k: float(getattr(found.persons, k)[0]) for k in ("grip", "arm_n_m", "pull_n", "pause_s", "age")}
-    start = Start(
-        objects[int(handed.object_index[0])], handed.T_gripper_obj[0], float(handed.opening_m[0]), handed.down[0],
-        handed.T_gripper_slip[0], handed.capacity[0], float(handed.total_n[0]), handed.pull[0], handed.point[0],
-        handed.press[0], handed.R_world_gripper[0], noise_of(trial_id, 0, 0)[:, 0], **own,
-    )  # fmt: skip
-    made = found.transfers
-    says = {"release": "threshold", "scenario": "take", "undecided": bool(made.undecided[0])}
-    says["outcome"] = made.outcome[0]
-    return start, says | {k: float(getattr(made, k)[0]) for k in TOLD}
-
-
-def test_how_a_transfer_ends_is_right_and_a_row_that_lies_is_noticed(taken):
-    start, says = taken
-    found = list(transfer_of(start, says))
-    assert says["outcome"] == "taken" and [f for f in found if f.wrong] == []
-    assert {f.name for f in found} == {"outcome", "undecided", *TOLD} and sum(f.kind == "open" for f in found) <= 1
-    assert [f.name for f in transfer_of(start, says | {"outcome": "dropped"}) if f.wrong] == ["outcome"]
-    assert [f.name for f in transfer_of(start, says | {"undecided": True}) if f.wrong] == ["undecided"]
-    lies = says | {"pull_n": says["pull_n"] + 1.5, "transfer_s": says["transfer_s"] + 0.9}
-    assert {f.name for f in transfer_of(start, lies) if f.wrong} == {"pull_n", "transfer_s"}

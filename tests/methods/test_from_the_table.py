@@ -371,7 +371,7 @@ def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper
 def test_a_believed_world_asks_for_pick_alone():
     draft = load_benchmark("r2h-v3-draft")
     own, _ = known_before(draft)
-    assert "taken" in draft.asks and own.asks == ("pick",) and own.certified is None
+    assert "received" in draft.asks and own.asks == ("pick",) and own.certified is None
     assert known_before(load_benchmark("r2h-v2"))[0].asks == ()
 
 

@@ -1,5 +1,6 @@
 """Trials drawn again until a search found a whole way: what is drawn, what is shipped, and for which benchmark it holds."""
 
+import hashlib
 import pickle
 from dataclasses import fields, replace
 
@@ -13,6 +14,7 @@ from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
 from r2h_batch.observe import moments
+from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.protocols.certified import Certified, joined_certified, load_certified, read_certified, save_certified
 from r2h_batch.protocols.edit import in_frame
 from r2h_batch.sweep.command import main as sweep
@@ -52,7 +54,29 @@ def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
     known = draft.certificates(some)
     trials = draft.trials_with_ids(torch.from_numpy(some))
     scores = judge.score(torch.from_numpy(known.T_obj_ee), torch.from_numpy(known.T_world_ee), trials)
-    assert known.known.all() and scores.success.all() and scores.criteria[-1] == "taken"
+    assert known.known.all() and scores.success.all() and scores.criteria[-1] == "received"
+
+
+def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(draft):
+    """At commit 7d23856b, whose draft asked for a criterion more."""
+    ids = np.arange(1040, dtype=np.int64)
+    redraws = hashlib.sha256(draft.redraws(ids).astype("<i8").tobytes()).hexdigest()
+    assert redraws == "7abd2856ee8a901f32a70409fb7a7c517c6cb2f53aa31365d608eb3690b6c1b7"
+    assert draft.own_certified.digest == "a2b670cc81a9a569f0d06940339a47237a8f88c5391aa42368ecbf0cd20cd8a8"
+    told = {
+        500: "8c8effd34d57ce6dd7903cff055e2621c016133860a2d7a2f8ef46fcb13439a5",
+        520: "c4fa867154d557189d862897550e946437b1db00fc6dd82888d6a96ba69a83c5",
+    }
+    for n, digest in each(told.items()):
+        assert trials_digest(draft.trials(n)) == digest
+    assert draft.until("present").digest == "717fc7d6f3accb16c9db94b0158a3e3fe3c0b21acc49d80bee480d64fdd861ca"
+
+
+def test_rows_of_0_3_are_of_the_same_trials_under_the_digest_that_they_had(draft):
+    asks = ("pick", "received")
+    assert draft.digest_before((*asks, "taken")) == "28f0b8594604aab7cc847ebd6c8c2c8346169428fd23db6ff07a7266eac101db"
+    before = draft.digest_before(asks)
+    assert before == "0b33788622d49ee39353ef385d0f7ca32f188d0d9ce5a07507813f6eb7b9a1dc" != draft.digest
 
 
 def test_only_what_was_drawn_again_is_another_trial_with_another_moment(draft, again):

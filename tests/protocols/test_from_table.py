@@ -3,22 +3,18 @@
 from dataclasses import replace
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 import torch
 from judge_twin import Again
 from rounds import each
 
 from r2h_batch import load_benchmark
-from r2h_batch.__main__ import main
 from r2h_batch.base.io.read import read_json
-from r2h_batch.closed_loop.transfer import given as giving
-from r2h_batch.closed_loop.transfer.cases import Case, Simulator
-from r2h_batch.closed_loop.transfer.handed import handed_of
-from r2h_batch.closed_loop.transfer.model import Setting
 from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge import metrics
+from r2h_batch.judge import received as giving
+from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.ik import nearest_turns
 from r2h_batch.judge.pick import picked
 from r2h_batch.judge.reception import reception
@@ -31,7 +27,6 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.runs.explain import ENDS as words_of_ends
 from r2h_batch.runs.explain import PICKS, RECEIVES, headline
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.robot import ee_pose
@@ -43,7 +38,6 @@ from r2h_batch.verdicts import (
     CRITERIA,
     EVERY,
     IN_ORDER,
-    TRANSFER_ENDS,
     MarginKind,
     Outcome,
     PickReason,
@@ -124,10 +118,10 @@ def folder(tmp_path_factory):
 @pytest.mark.check
 def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(draft):
     v2 = load_benchmark("r2h-v2")
-    assert v2.asks == () and draft.asks == ("pick", "received", "taken")
+    assert v2.asks == () and draft.asks == ("pick", "received")
     assert replace(draft, asks=()).digest != draft.digest
     assert replace(v2, asks=("pick",)).digest != v2.digest == replace(v2, asks=()).digest
-    for asks in each((("plan",), ("pick", "pick"), ("",), ("taken",))):
+    for asks in each((("plan",), ("pick", "pick"), ("",), ("received",), ("pick", "received", "taken"))):
         with pytest.raises(ValueError, match=r"asks is .* must be \(\) or the first of \('pick', "):
             replace(v2, asks=asks)
     others = Evaluator(v2, KINEMATIC)
@@ -226,7 +220,7 @@ def test_other_code_judges_the_rows_with_their_carry_again(folder):
 
 @pytest.mark.check
 def test_the_first_failure_is_stability_then_pick_then_the_others():
-    assert [entry.name for entry in IN_ORDER] == ["stability", "pick", *CRITERIA[1:], "received", "taken"]
+    assert [entry.name for entry in IN_ORDER] == ["stability", "pick", *CRITERIA[1:], "received"]
 
     class Held:
         active = torch.ones(3, dtype=torch.bool)
@@ -256,36 +250,29 @@ def test_rows_have_the_same_bits_alone_and_in_any_order(judge, asked, scores):
             assert torch.equal(getattr(row, name).nan_to_num(-9), mine[i : i + 1].nan_to_num(-9)), name
 
 
-def test_received_and_taken_are_what_reception_and_transfer_say_of_what_passed_all_else(gives, asked, scores, whole):
+def test_received_is_what_reception_says_of_what_passed_all_else(scores, whole):
     rows = torch.nonzero(scores.success)[:, 0]
     n = len(CRITERIA) + 1
     for name in each(("passed", "evaluated", "margin", "margin_kind")):
         mine, theirs = (getattr(x, name)[:, :n].float().nan_to_num(-9) for x in (whole, scores))
         assert torch.equal(mine, theirs), name
-    received, taken = (whole.criteria.index(name) for name in ("received", "taken"))
+    received = whole.criteria.index("received")
     found = reception(scores[rows])
     assert torch.equal(whole.evaluated[:, received], scores.success)
     assert torch.equal(whole.passed[rows, received], found.received) and found.received.any()
     assert torch.equal(whole.receives[rows, 1], found.count[:, -1].int())
-    got = rows[found.received]
-    assert torch.equal(torch.nonzero(whole.evaluated[:, taken])[:, 0], got)
-    scene = gives.scene
-    handed = handed_of(found, scores.trial_id[rows].numpy(), asked[2][rows], scene)
-    (made,) = Simulator(scene.robot, tuple(scene.objects), Setting(), 0)(handed, [Case("load-share", "take", 0)])
-    ends = [TRANSFER_ENDS[k] for k in whole.ends[got, 0].tolist()]
-    assert ends == made.transfers.outcome and "taken" in ends
-    assert whole.passed[got, taken].tolist() == [end == "taken" for end in ends]
-    assert whole.ends[got, 1].bool().tolist() == made.transfers.undecided.tolist()
-    slip = torch.from_numpy(made.transfers.slip_m.astype(np.float32))
-    assert torch.equal(whole.transfer[got, 0].nan_to_num(-9), slip.nan_to_num(-9))
-    spare = np.minimum(0.02 - made.transfers.slip_m, 0.002 * (30 - made.transfers.turn_deg))
-    has = np.isin(ends, ("taken", "badly_held"))
-    assert np.allclose(whole.margin[got, taken][has], spare[has], atol=1e-7)
-    assert (whole.margin[got, taken][~has] == -torch.inf).all()
-    assert torch.equal(whole.success, whole.evaluated[:, taken] & whole.passed[:, taken])
+    assert torch.equal(whole.success, whole.evaluated[:, received] & whole.passed[:, received])
     lost = torch.nonzero(~scores.success)[:, 0]
     assert torch.equal(whole.outcome[lost], scores.outcome[lost]) and (whole.receives[lost] == -1).all()
-    assert (whole.ends[lost] == -1).all() and whole.transfer[lost].isnan().all()
+
+
+def test_the_person_takes_the_object_where_all_other_criteria_judge_it(gives, asked, scores):
+    rows = torch.nonzero(scores.success)[:, 0]
+    T_obj_ee, T_world_ee, trials = (x[rows] for x in asked)
+    found = reception(scores[rows])
+    held = attach_object(gives.scene, T_obj_ee, T_world_ee, trials, gives.config)
+    assert torch.equal(found.T_obj_ee, held.attached)
+    assert torch.allclose(found.T_world_obj @ held.attached, T_world_ee, atol=1e-6)
 
 
 def test_giving_does_not_depend_on_the_batch(gives, asked, whole):
@@ -294,13 +281,13 @@ def test_giving_does_not_depend_on_the_batch(gives, asked, whole):
     order = torch.nonzero(whole.success)[:, 0].flip(0)[:3]
     again = gives.score(T_obj_ee[order], T_world_ee[order], trials[order])
     lone = gives.score(T_obj_ee[order[:1]], T_world_ee[order[:1]], trials[order[:1]])
-    for name in each(("outcome", "success", "margin", "margin_kind", "receives", "ends", "transfer", "borderline")):
+    for name in each(("outcome", "success", "margin", "margin_kind", "receives", "borderline")):
         mine = getattr(whole, name)[order].nan_to_num(-9)
         assert torch.equal(getattr(again, name).nan_to_num(-9), mine), name
         assert torch.equal(getattr(lone, name).nan_to_num(-9), mine[:1]), name
 
 
-def test_what_nobody_can_take_fails_received_and_is_not_simulated(gives, asked, whole, monkeypatch):
+def test_what_nobody_can_take_fails_received_and_says_why(gives, asked, whole, monkeypatch):
     T_obj_ee, T_world_ee, trials = asked
     rows = torch.nonzero(whole.success)[:, 0][:6]
     trials = gives.benchmark.trials_with_ids(trials.trial_id[rows])
@@ -320,32 +307,22 @@ def test_what_nobody_can_take_fails_received_and_is_not_simulated(gives, asked, 
     assert found.success.tolist() == [False] * 5 + [True]
     words = [ReceiveReason(k).name for k in found.receives[:, 0].tolist()]
     assert words == ["ARM", "CLEAR", "HOLD", "WHOLE_WAY", "NO_GRASP", "OK"]
-    received, taken = (found.criteria.index(name) for name in ("received", "taken"))
+    received = found.criteria.index("received")
     assert (found.margin[:5, received] == -torch.inf).all() and 0 < found.margin[5, received] < 1e-3
-    assert found.evaluated[:, taken].tolist() == [False] * 5 + [True] and (found.ends[:5] == -1).all()
     assert (found.margin_kind[:, received] == int(MarginKind.CAP)).all()
 
 
 def test_a_benchmark_may_end_before_the_giving(draft, presents, scores):
     assert presents.asks == ("pick",) and draft.until("received").asks == ("pick", "received")
-    assert draft.until("taken").digest == draft.digest != presents.digest
+    assert draft.until("received").digest == draft.digest != presents.digest
     assert torch.equal(presents.trials(3).T_world_hand, draft.trials(3).T_world_hand)
-    assert scores.criteria == (*CRITERIA, "pick") and not hasattr(scores, "ends")
+    assert scores.criteria == (*CRITERIA, "pick") and not hasattr(scores, "receives")
     with pytest.raises(ValueError, match="r2h-v2 asks for none of these; until 'present' needs pick"):
         load_benchmark("r2h-v2").until("present")
-    with pytest.raises(ValueError, match="until 'taken' needs pick, received, taken"):
-        presents.until("taken")
+    with pytest.raises(ValueError, match="until 'received' needs pick, received"):
+        presents.until("received")
     with pytest.raises(ValueError, match="stage is 'given'"):
         draft.until("given")
-
-
-def test_a_benchmark_until_received_simulates_no_transfer(draft, asked, whole):
-    judge = Evaluator(draft.until("received"), KINEMATIC)
-    rows = torch.nonzero(whole.success)[:, 0][:2]
-    trials = judge.benchmark.trials_with_ids(asked[2].trial_id[rows])
-    found = judge.score(asked[0][rows], asked[1][rows], trials)
-    assert found.criteria == (*CRITERIA, "pick", "received") and found.success.all()
-    assert torch.equal(found.receives, whole.receives[rows]) and (found.ends == -1).all()
 
 
 def test_the_pose_stage_asks_nobody_to_take_anything(gives, asked):
@@ -357,34 +334,29 @@ def test_the_pose_stage_asks_nobody_to_take_anything(gives, asked):
 
 def test_a_sweep_until_present_says_so_and_lacks_the_columns(folder):
     run, whole = load_run(folder / "presents"), load_run(folder / "whole")
-    assert run.asks == ("pick",) and whole.asks == ("pick", "received", "taken")
+    assert run.asks == ("pick",) and whole.asks == ("pick", "received")
     names = set(run.trials(run.methods[0]).column_names)
-    assert "passed_pick" in names and not {"passed_received", "transfer_end"} & names
+    assert "passed_pick" in names and not {"passed_received", "received_reason"} & names
     assert benchmark_of_run(run.header, BenchmarkChoice(), "x").asks == ("pick",)
     again = reevaluate(run, run.methods[0], 12, Judge(run))
     assert again.equal == 12 and not again.differences
-    assert "F_taken" not in render(table_of(run), "md")
+    assert "F_recv" not in render(table_of(run), "md")
 
 
-def test_tables_and_words_show_received_and_taken(folder):
+def test_tables_and_words_show_received(folder):
     run = load_run(folder / "whole")
     table = table_of(run)
     shown = render(table, "md").replace("\n  ", " ")
-    assert "F_recv" in shown and "F_taken" in shown and "Safe, Received, Taken" in shown
+    assert "F_recv" in shown and "Safe, Received" in shown
     for fmt in each(("csv", "json", "latex")):
-        assert "taken" in render(table, fmt)
+        assert "rec" in render(table, fmt)
     rows = [r for m in run.methods for r in run.trials(m).to_pylist()]
-    for row in each([r for r in rows if r["passed_taken"] is not None]):
-        assert row["passed_received"] and row["transfer_end"] and row["received_grasps"] > 0
-        assert row["passed_taken"] == (row["transfer_end"] == "taken")
-    given = {"outcome": "taken", "transfer_end": "dropped", "transfer_slip_m": 0.053, "transfer_turn_deg": 91.0}
-    assert headline(given) == "taken fails: the gripper let go, and the hand lost it (53 mm, 91 deg)"
-    unsure = {"outcome": "taken", "transfer_end": "stuck", "transfer_undecided": True}
-    assert headline(unsure) == "taken fails: the gripper let go, and it hangs on the fingers, undecided"
+    for row in each([r for r in rows if r["passed_received"] is not None]):
+        assert row["passed_received"] == (row["received_reason"] == "ok") == (row["outcome"] == "success")
+        assert row["received_grasps"] > 0 or not row["passed_received"]
     blocked = {"outcome": "received", "received_reason": "whole_way"}
     assert headline(blocked) == "received fails: the hand's way from where it waits is blocked"
     assert set(RECEIVES) == {r.name.lower() for r in ReceiveReason} - {"ok"}
-    assert {*words_of_ends} == {*TRANSFER_ENDS} - {"taken", "not_received", "kept", "false_release"}
 
 
 def test_thresholds_of_what_was_given_can_only_be_stricter(folder):
@@ -393,26 +365,6 @@ def test_thresholds_of_what_was_given_can_only_be_stricter(folder):
     with pytest.raises(ValueError, match="these rows allow stricter thresholds only, or sweep with --until present"):
         rethreshold(run, reach_radius_m=[0.9])
     assert rethreshold(load_run(folder / "presents"), reach_radius_m=[0.9])
-
-
-def test_the_command_results_transfer_says_the_same(folder, capsys):
-    where = folder / "whole"
-    assert (
-        main(["results", "transfer", str(where), "--release", "load-share", "--scenario", "take", "--processes", "1"])
-        == 0
-    )
-    run = load_run(where)
-    for name in each(run.methods):
-        rows = {r["trial_id"]: r for r in run.trials(name).to_pylist()}
-        table = pq.read_table(where / "transfer" / f"{name}.parquet")
-        side = {r["trial_id"]: r for r in table.to_pylist()}
-        for i, row in rows.items():
-            if row["passed_received"] is not None:
-                assert side[i]["received"] == row["passed_received"]
-            if row["transfer_end"] is not None:
-                assert side[i]["outcome"] == row["transfer_end"] and side[i]["undecided"] == row["transfer_undecided"]
-                assert (side[i]["slip_m"], side[i]["transfer_s"]) == (row["transfer_slip_m"], row["transfer_s"])
-    assert any(r["transfer_end"] for r in run.trials("oracle").to_pylist())
 
 
 def test_the_pose_stage_judges_pick_at_the_grasp_alone(judge):
@@ -492,7 +444,7 @@ def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
 
 def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thread(folder):
     whole, parts = (load_run(folder / name) for name in ("whole", "parts"))
-    asks = ["pick", "received", "taken"]
+    asks = ["pick", "received"]
     assert list(whole.asks) == asks == read_json(folder / "whole" / "run.json", most=1 << 24)["asks"]
     for method in each(whole.methods):
         assert whole.digest(method) == parts.digest(method)

@@ -11,7 +11,6 @@ import torch
 from made_runs import made_trials, make_header, make_scores, store, write_run, write_side
 
 from r2h_batch.report.people import people_lines, served
-from r2h_batch.report.transfers import MADE_OF
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
@@ -73,7 +72,7 @@ def test_a_run_without_people_gets_one_line(tmp_path) -> None:
 
 
 def stored_later(run: Run) -> None:
-    """Reception of method a's six trials, of which five have a goal posture, and transfers of three of b's, two persons each."""
+    """Reception of method a's six trials, of which five have a goal posture."""
     entry = run.entry("a")
     columns = {
         "trial_id": np.arange(6),
@@ -82,44 +81,26 @@ def stored_later(run: Run) -> None:
         "received": [True, False, True, True, False, False],
     }
     write_side(entry.folder / "reception" / f"{entry.slug}.parquet", pa.table(columns))
-    entry = run.entry("b")
-    stored = run.trials("b", ["trial_id", "outcome"]).to_pylist()
-    won = {r["trial_id"]: r["outcome"] == "success" for r in stored}
-    rows = {
-        "trial_id": [0, 0, 3, 3, 4, 4, 0],
-        "release": ["wait"] * 7,
-        "scenario": ["take"] * 6 + ["tug"],
-        "person": pa.array([0, 1, 0, 1, 0, 1, 0], pa.int16()),
-        "success": [won[i] for i in (0, 0, 3, 3, 4, 4, 0)],
-        "received": [True] * 7,
-        "outcome": ["taken", "taken", "taken", "dropped", "dropped", "dropped", "dropped"],
-    }
-    path = entry.folder / "transfer" / f"{entry.slug}.parquet"
-    write_side(path, pa.table(rows), {MADE_OF: {"rows": run.digest("b")}})
 
 
-def test_received_and_taken_are_counted_by_people_where_they_are_stored(run: Run) -> None:
+def test_received_is_counted_by_people_where_it_is_stored(run: Run) -> None:
     assert "received" not in people_lines(run)
     stored_later(run)
     found = json.loads(people_lines(run, "json"))["rows"]
     cell = {(r["by"], r["group"], r["method"]): r for r in found}
     assert cell["all", "all", "a"]["received"] == pytest.approx(3 / 5)
-    assert cell["all", "all", "b"]["taken_wait"] == pytest.approx((1.0 + 0.5 + 0.0) / 3)
-    assert cell["age, years", "below 13", "b"]["taken_wait"] == pytest.approx(0.25)
     assert cell["age, years", "65 and more", "a"]["received"] is None and "received" not in cell["all", "all", "b"]
     text = people_lines(run)
     (head,) = (line for line in text.splitlines() if "a: received" in line)
-    assert "b: taken, wait" in head
+    assert "b: received" not in head
     below = [line for line in text.splitlines() if "below 13" in line][1]
-    assert [c.strip() for c in below.strip("|").split("|")][2:] == ["50.0", "25.0"]
+    assert [c.strip() for c in below.strip("|").split("|")][2:] == ["50.0"]
 
 
-def test_reception_and_transfers_of_other_rows_are_left_out(run: Run) -> None:
+def test_reception_of_other_rows_is_left_out(run: Run) -> None:
     stored_later(run)
     path = run.entry("a").folder / "reception" / f"{run.entry('a').slug}.parquet"
     table = pq.read_table(path)
     other = pa.array([False, True, True, False, False, True])
     write_side(path, table.set_column(1, "success", other))
-    path = run.entry("b").folder / "transfer" / f"{run.entry('b').slug}.parquet"
-    write_side(path, pq.read_table(path), {MADE_OF: {"rows": "0"}})
     assert served(run).later == {}

@@ -10,8 +10,9 @@ import pytest
 from made_runs import with_a_fatal_footer, write_run, write_side
 
 from r2h_batch.__main__ import main
-from r2h_batch.report.transfers import MADE_OF, takes_of
-from r2h_batch.runs.side import is_kept, side_writer
+from r2h_batch.report.people import RECEPTION
+from r2h_batch.runs.files import RunError
+from r2h_batch.runs.side import about_side, is_kept, side_writer
 from r2h_batch.runs.store import load_run
 
 N = 6
@@ -20,12 +21,10 @@ N = 6
 def table(**changes):
     columns = {
         "trial_id": pa.array(range(N), pa.int64()),
-        "release": pa.array(["load-share"] * N),
-        "scenario": pa.array(["take"] * N),
-        "person": pa.array([0] * N, pa.int16()),
         "success": pa.array([True] * N),
+        "evaluated": pa.array([True] * N),
         "received": pa.array([True] * N),
-        "outcome": pa.array(["taken"] * N),
+        "word": pa.array(["x"] * N),
     }
     return pa.table({k: v for k, v in {**columns, **changes}.items() if v is not None})
 
@@ -43,8 +42,13 @@ def run(good, tmp_path):
 
 
 def put(run, rows):
-    """Stores rows as the transfers of the run's method, made of its rows as they say."""
-    return write_side(run / "transfer" / "m.parquet", rows, {MADE_OF: {"rows": load_run(run).digest("m")}})
+    """Stores rows as the reception of the run's method."""
+    return write_side(run / RECEPTION / "m.parquet", rows)
+
+
+def read(run):
+    """What tables read of it."""
+    return load_run(run).side("m", RECEPTION)
 
 
 def repeated(rows, times):
@@ -54,21 +58,16 @@ def repeated(rows, times):
 
 
 HOSTILE = {
-    "30 million rows in dictionaries": (lambda: repeated(1000, 300), "300000 rows; at most 1000 for each of 6 trials"),
+    "30 million rows in dictionaries": (lambda: repeated(1000, 300), "300000 rows; at most one for each of 6 trials"),
     "trials of another run": (
         lambda: table(trial_id=pa.array(range(10, 10 + N), pa.int64())),
         "trial 10 is not in this run",
     ),
-    "a case twice": (lambda: pa.concat_tables([table(), table()]), "stands there twice"),
-    "other successes": (lambda: table(success=pa.array([False] * N)), "has another success than in the shards"),
-    "a column missing": (lambda: table(outcome=None), "column 'outcome' is missing"),
-    "a column of numbers": (lambda: table(outcome=pa.array(range(N))), "column 'outcome' is int64; it must be string"),
+    "a trial twice": (lambda: table().take([0, 0, 1, 2]), "trial 0 stands there twice"),
+    "a column missing": (lambda: table(received=None), "column 'received' is missing"),
+    "a column of numbers": (lambda: table(received=pa.array(range(N))), "column 'received' is int64; it must be bool"),
     "gaps": (lambda: table(received=pa.array([None] * N, pa.bool_())), "column 'received' has 6 empty rows"),
-    "taken, and not received": (
-        lambda: table(received=pa.array([True] * 4 + [False] * 2)),
-        "trial 4 is taken, and not received",
-    ),
-    "long words": (lambda: table(release=pa.array(["x" * (4 << 20)] * N)), "a word of 4194304 characters; at most"),
+    "long words": (lambda: table(word=pa.array(["x" * (4 << 20)] * N)), "a word of 4194304 characters; at most"),
 }
 
 
@@ -76,13 +75,13 @@ HOSTILE = {
 def test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside(run, what, capsys):
     make, words = HOSTILE[what]
     path = put(run, make())
-    assert main(["report", str(run)]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == "" and captured.err.count("\n") == 1
-    assert str(path) in captured.err and words in captured.err and "r2h-batch results" in captured.err
+    with pytest.raises(RunError) as error:
+        read(run)
+    said = str(error.value)
+    assert "\n" not in said and str(path) in said and words in said and "r2h-batch results reception" in said
     assert main(["results", "verify", str(run)]) == 1
     assert f"{path}: " in capsys.readouterr().out and not path.exists() and path.with_name("m.parquet.bad").exists()
-    assert main(["report", str(run)]) == 0
+    assert read(run) is None
 
 
 def edited(path, change, keep):
@@ -95,7 +94,7 @@ def edited(path, change, keep):
 
 EDITS = {
     "a number": lambda t: t.set_column(t.column_names.index("slip_m"), "slip_m", pa.array([0.0] * N, pa.float32())),
-    "a word": lambda t: t.set_column(t.column_names.index("outcome"), "outcome", pa.array(["taken"] * N)),
+    "a word": lambda t: t.set_column(t.column_names.index("word"), "word", pa.array(["z"] * N)),
     "a column less, which no table reads": lambda t: t.drop_columns(["slip_m"]),
     "a column more": lambda t: t.append_column("share", pa.array([1.0] * N)),
     "rows less": lambda t: t.slice(0, 3),
@@ -118,19 +117,18 @@ EDITS = {
 @pytest.mark.parametrize("what", EDITS)
 def test_a_file_that_was_edited_is_one_line_and_verify_sets_it_aside(run, what, keep, capsys):
     slips = pa.array([0.001, 0.002, None, 0.0, 0.004, 0.005], pa.float32())
-    path = put(run, table(outcome=pa.array(["dropped"] * N), slip_m=slips))
-    assert main(["report", str(run)]) == 0
+    path = put(run, table(word=pa.array(["y"] * N), slip_m=slips))
+    assert read(run).num_rows == N
     edited(path, EDITS[what], keep)
-    capsys.readouterr()
-    assert main(["report", str(run)]) == 2
-    captured = capsys.readouterr()
     words = (
         "its columns are not those that were written" if keep else "has no digest of its columns: an older version or"
     )
-    assert captured.out == "" and captured.err.count("\n") == 1 and f"{path}: {words}" in captured.err
+    with pytest.raises(RunError) as error:
+        read(run)
+    assert "\n" not in str(error.value) and f"{path}: {words}" in str(error.value)
     assert main(["results", "verify", str(run)]) == 1
     assert words in capsys.readouterr().out and not path.exists()
-    assert main(["report", str(run)]) == 0
+    assert read(run) is None
 
 
 PICKED = pa.table(
@@ -142,7 +140,7 @@ PICKED = pa.table(
 )
 FORGED = {
     "trials of another run": PICKED.set_column(0, "trial_id", pa.array(range(10, 10 + N), pa.int64())),
-    "a trial twice": PICKED.take([0, *range(N)]),
+    "a trial twice": PICKED.take([0, *range(N - 1)]),
     "another success": PICKED.set_column(
         PICKED.column_names.index("success"), "success", pa.array([False] + [True] * (N - 1))
     ),
@@ -170,14 +168,14 @@ def test_what_picked_stores_is_a_file_beside_the_shards_and_no_link(run, capsys)
 
 @pytest.mark.parametrize("size", [1, 2, 5])
 def test_the_digest_does_not_depend_on_how_many_rows_come_at_once(run, size):
-    rows = table(outcome=pa.array(["taken", "dropped"] * 3), slip_m=pa.array([0.1, None] * 3, pa.float32()))
-    path = run / "transfer" / "m.parquet"
-    with side_writer(path, rows.schema, {MADE_OF: {"rows": load_run(run).digest("m")}}) as writer:
+    rows = table(word=pa.array(["y", "z"] * 3), slip_m=pa.array([0.1, None] * 3, pa.float32()))
+    path = run / RECEPTION / "m.parquet"
+    with side_writer(path, rows.schema) as writer:
         for k in range(0, N, size):
             writer.write(rows.slice(k, size))
     assert pq.ParquetFile(path).num_row_groups == -(-N // size)
     assert is_kept(path, rows.schema, N) and not is_kept(path, rows.schema.remove(0), N)
-    assert takes_of(load_run(run), "m")["outcome"].tolist() == ["taken", "dropped"] * 3
+    assert read(run)["received"].to_pylist() == [True] * N
 
 
 @pytest.mark.usefixtures("own_process")
@@ -196,29 +194,28 @@ def test_links_and_pipes_are_not_followed(run, tmp_path, kind, capsys):
     elsewhere = tmp_path / "elsewhere"
     if kind == "folder that is a link":
         path.parent.rename(elsewhere)
-        (run / "transfer").symlink_to(elsewhere)
+        (run / RECEPTION).symlink_to(elsewhere)
     else:
         path.rename(elsewhere)
         os.mkfifo(path) if kind == "pipe" else path.symlink_to(elsewhere)
     before = elsewhere.read_bytes() if elsewhere.is_file() else b""
-    assert main(["report", str(run)]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1 and ("symbolic link" in error or "a pipe" in error)
+    with pytest.raises(RunError, match=r"symbolic link|a pipe"):
+        read(run)
     main(["results", "verify", str(run)])
     assert not elsewhere.is_file() or elsewhere.read_bytes() == before
 
 
 @pytest.mark.check
 def test_a_sound_file_is_read_and_verify_says_that_it_believes_it(run, capsys):
-    put(run, table(outcome=pa.array(["taken"] * 5 + ["dropped"])))
-    assert takes_of(load_run(run), "m")["outcome"].tolist() == ["taken"] * 5 + ["dropped"]
+    put(run, table(received=pa.array([True] * 5 + [False])))
+    assert read(run)["received"].to_pylist() == [True] * 5 + [False]
     assert main(["results", "verify", str(run)]) == 0
     (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith("not checked: ")]
-    assert "transfer/m.parquet" in line and "reevaluate" in line
+    assert f"{RECEPTION}/m.parquet" in line and "reevaluate" in line
 
 
 def test_about_that_is_no_mapping_or_too_deep_is_of_other_rows(run):
     path = put(run, table())
     for text in (b"[1]", b"[" * 100_000, b"7", b"{"):
-        pq.write_table(table().replace_schema_metadata({MADE_OF: text}), path)
-        assert takes_of(load_run(run), "m") == {}
+        pq.write_table(table().replace_schema_metadata({b"about": text}), path)
+        assert about_side(path, b"about") == {}

@@ -9,7 +9,7 @@ import pyarrow as pa
 from r2h_batch.report.statistics.aggregate import Row, object_rows
 from r2h_batch.report.statistics.codes import FAILED, UNEVALUATED, codes, states
 from r2h_batch.report.statistics.tally import Tally
-from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import UNITS
 
@@ -109,8 +109,8 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
     """About `limit` trials of a method at most, the first ones of each outcome, and the number of
     all its trials."""
     total, kept = 0, []
-    each = max(1, limit // (MISSING + 1))
-    counts = np.zeros(MISSING + 1, np.int64)
+    each = max(1, limit // len(OUTCOME_NAMES))
+    counts = np.zeros(len(OUTCOME_NAMES), np.int64)
     whole = sum(run.planned(method).values()) <= limit
     for table in run.shards("trials", method, shown(run)):
         total += len(table)
@@ -120,6 +120,6 @@ def examples(run: Run, method: str, limit: int) -> tuple[pa.Table, int]:
         outcome = codes(table, "outcome", OUTCOME_NAMES)
         room = np.maximum(each - counts, 0)
         rows = np.concatenate([np.flatnonzero(outcome == k)[:n] for k, n in enumerate(room)])
-        counts += np.bincount(outcome[rows], minlength=MISSING + 1)
+        counts += np.bincount(outcome[rows], minlength=len(OUTCOME_NAMES))
         kept.append(table.take(pa.array(np.sort(rows))))
     return pa.concat_tables(kept).unify_dictionaries(), total

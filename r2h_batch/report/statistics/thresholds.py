@@ -47,7 +47,7 @@ class Point:
         reach_radius_m: r_h.
         w_max_m: widest material that the gripper holds.
         safe_margin_m: distance that the robot must keep from the hand.
-        counts: method -> (2, 9) trials by split and outcome.
+        counts: method -> (2, n) trials by split and outcome, in the order of `OUTCOME_NAMES`.
         undecided: method -> trials too near to a threshold.
         concerned: method -> criterion that is not for all objects -> (2,) trials that it concerns.
     """
@@ -119,7 +119,7 @@ def rethreshold(
     points = [Point(r_h, w_max, safe, {}, {}) for r_h, w_max, safe in grid]
     for method in run.methods:
         for point in points:
-            point.counts[method] = np.zeros((len(SPLITS), MISSING + 1), np.int64)
+            point.counts[method] = np.zeros((len(SPLITS), len(OUTCOME_NAMES)), np.int64)
             point.undecided[method] = 0
         judged = judged_by(run, method)
         of = {c: np.zeros(len(SPLITS), np.int64) for c in run.concerned}
@@ -171,7 +171,7 @@ class _Margins:
         self.concerned = {c: np.array([o in own for o in objects]) for c, own in concerned.items()}
 
     def outcomes(self, point: Point) -> tuple[np.ndarray, int]:
-        """(2, 9) trials by split and outcome at other thresholds, and how many are undecided."""
+        """(2, n) trials by split and outcome at other thresholds, and how many are undecided."""
         state, near = dict(self.state), np.zeros(len(self.split), bool)
         for criterion, name, spare in (
             ("reach", "reach_radius_m", lambda t: t - self.distance),
@@ -189,7 +189,12 @@ class _Margins:
             state[criterion] = np.where(old > 0, np.where(good, PASSED, FAILED), old)
             near |= (old > 0) & (np.abs(margin) < ROUNDING_M)
         outcome = first_failures(state, self.split, self.judged, self.concerned)
-        outcome = np.where(self.outcome < Outcome.INVALID_INPUT, outcome, self.outcome)
+        judged = self.outcome < Outcome.INVALID_INPUT
+        older = (
+            self.outcome > MISSING
+        )  # failed by what nobody judges by any more, after all the others
+        kept = ~judged & ~(older & (outcome != Outcome.SUCCESS))
+        outcome = np.where(kept, self.outcome, outcome)
         if (outcome < 0).any():
             count = int((outcome < 0).sum())
             words = f"{count} rows pass, but a criterion was not evaluated"
@@ -198,7 +203,7 @@ class _Margins:
                     "; these rows allow stricter thresholds only, or sweep with --until present"
                 )
             raise ValueError(words)
-        counts = np.zeros((len(SPLITS), MISSING + 1), np.int64)
+        counts = np.zeros((len(SPLITS), len(OUTCOME_NAMES)), np.int64)
         np.add.at(counts, (self.split, outcome), 1)
         return counts, int(near.sum())
 

@@ -8,12 +8,11 @@ reception RUN     print how many receivers could take the object
 picked RUN        print how many objects the arm can pick from the table with the stored grasps
 held RUN          print how many grasps hold in physics: after closing, and under the weight
 viewed RUN        print how much of the part that they want the receivers see
-transfer RUN      simulate the transfer: the person takes the object, the gripper lets go
 """
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from r2h_batch.base.command_line import check_range, check_seed
 from r2h_batch.base.errors import UsageError
@@ -25,8 +24,6 @@ if TYPE_CHECKING:
 
 MOST_TORSION_MM = 11.0
 MOST_DRAWS, MOST_PROCESSES = 10_000, 1024
-RELEASE, SCENARIO = ("load-share",), ("take",)
-"""Default policies and scenarios of `transfer`."""
 LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -35,7 +32,7 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (held, reception, transfer, viewed) that are too large, of other trials, or not as they were written
+    Files beside the shards (held, reception, viewed) that are too large, of other trials, or not as they were written
     are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1:
     the same sweep will score some shards again, or a file was set aside.
 
@@ -305,67 +302,6 @@ def viewed(
     return 0
 
 
-def transfer(
-    folder: Path,
-    /,
-    *,
-    release: tuple[str, ...] = RELEASE,
-    scenario: tuple[str, ...] = SCENARIO,
-    draws: int = 1,
-    method: tuple[str, ...] = (),
-    seed: int = 0,
-    processes: int = 0,
-    sim: Literal["auto", "mujoco", "mjwarp"] = "auto",
-    benchmark: BenchmarkChoice = DEFAULT,
-    device: str = "cpu",
-) -> int:
-    """Simulate the transfer after each handover: a person takes the object, and a policy lets go.
-
-    The command simulates received rows (see reception) in MuJoCo, and writes RUN/transfer/METHOD.parquet. It keeps what
-    is stored there, and simulates what is missing. The success rate does not depend on it. Receivers need a body: those of
-    r2h-v2, the default, and of r2h-v1 have one; `--receiver hand` takes it away. docs/transfer.md says what the figures mean
-    and what they do not.
-
-    Args:
-        folder: a run folder, as `r2h-batch sweep --out` writes it.
-        release: policies: never, timer, threshold, load-share, probe or FILE.py:Class.
-        scenario: take, touch, nobody, pull-early or weak.
-        draws: persons that are drawn for each trial.
-        method: only these methods, by the sweep's word (fc) or the table's name.
-        seed: seed of the sensor's noise.
-        processes: processes that simulate; 0: one for each core. mjwarp: one.
-        sim: engine; auto: mujoco on a CPU, mjwarp on CUDA.
-        benchmark: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N, for the reception and mjwarp.
-    """
-    from itertools import product
-
-    from r2h_batch.config import ExecConfig
-
-    check_range("--draws", draws, 1, MOST_DRAWS)
-    check_range("--processes", processes, 0, MOST_PROCESSES)
-    check_seed(seed)
-    engine = ExecConfig(sim=sim).engine(device)
-    if engine == "mjwarp" and processes > 1:
-        raise UsageError(
-            f"--processes {processes}: mjwarp has its worlds in one process; --sim mujoco takes several"
-        )
-    if (release, scenario) != (RELEASE, SCENARIO):  # looking others up imports torch
-        check_cases(release, scenario, flag="--scenario")
-    run = _opened(folder, method, "transfer")
-    from r2h_batch.base.launch import cpu_threads
-    from r2h_batch.closed_loop.transfer.cases import Case
-    from r2h_batch.sweep.results import transfer as transferred
-
-    files = transferred.write_tables(
-        run, benchmark, release=release, scenario=scenario, persons=draws, seed=seed,
-        count=processes or cpu_threads(), sim=engine, device=device,
-    )  # fmt: skip
-    cases = [Case(*c) for c in product(release, scenario, range(draws))]
-    print(transferred.render(files, cases), end="")
-    return 0
-
-
 def _opened(folder: Path, method: Sequence[str], side: str) -> "Run":
     """The run with these methods. Commands open it before they import what judges, so that a missing one is told at once.
 
@@ -380,26 +316,6 @@ def _opened(folder: Path, method: Sequence[str], side: str) -> "Run":
     return load_run(folder).only(method)
 
 
-def check_cases(release: Sequence[str], scenario: Sequence[str], *, flag: str) -> None:
-    """Raise `UsageError` unless there are such policies and scenarios.
-
-    Args:
-        release: as `release_of` takes them.
-        scenario: names of `person.SCENARIOS`.
-        flag: that named the scenarios.
-    """
-    from r2h_batch.closed_loop.transfer.own_release import release_of
-    from r2h_batch.closed_loop.transfer.person import SCENARIOS
-
-    if unknown := [s for s in scenario if s not in SCENARIOS]:
-        raise UsageError(f"{flag} {unknown[0]}: there is none; choose {', '.join(SCENARIOS)}")
-    for spec in release:
-        try:
-            release_of(spec)
-        except (ImportError, TypeError) as error:
-            raise UsageError(f"--release {spec}: {error}") from error
-
-
 COMMANDS = {
     "verify": verify,
     "digest": digest,
@@ -409,5 +325,4 @@ COMMANDS = {
     "picked": picked,
     "held": held,
     "viewed": viewed,
-    "transfer": transfer,
 }

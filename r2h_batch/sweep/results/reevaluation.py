@@ -37,6 +37,7 @@ from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.trials.predictions import Motions
 from r2h_batch.types import Predictions, Trials
+from r2h_batch.verdicts import NO_LONGER
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
@@ -377,7 +378,9 @@ def _differing_rows(
             same = {k: row.get(k) for k in ("trial_id", "object", "split", "side")}
             none = dict.fromkeys(compared[kind]) | same | {"outcome": "missing"}
             other = again[kind].get(trial_id, none if kind == "trials" else {"trial_id": None})
-            for k in row.keys() & other.keys() - silent:
+            # failed by what nobody judges by any more: it passes all the others
+            passes = row.get("outcome") in NO_LONGER and other.get("outcome") == "success"
+            for k in row.keys() & other.keys() - silent - ({"outcome"} if passes else set()):
                 if row[k] != other[k] and repr(row[k]) != repr(other[k]):  # a nan is one
                     name = k if kind == "trials" else f"{kind} {k}"
                     yield Difference(trial_id, name, row[k], other[k], trial_id in unsure)

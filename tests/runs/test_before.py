@@ -1,0 +1,84 @@
+"""Rows of r2h_batch 0.3 that were judged by what nobody judges by any more: read, counted and judged again."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from r2h_batch.__main__ import main
+from r2h_batch.protocols.choice import BenchmarkChoice
+from r2h_batch.protocols.of_run import benchmark_of_run
+from r2h_batch.report.statistics.breakdown import examples
+from r2h_batch.report.statistics.thresholds import rethreshold
+from r2h_batch.report.table import render, table_of
+from r2h_batch.runs import before
+from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+
+DRAFT = Path(__file__).resolve().parents[1] / "frozen" / "draft"
+"""A run of the draft that asked for Taken, with transfers beside its shards."""
+
+
+@pytest.fixture
+def run():
+    return load_run(DRAFT)
+
+
+@pytest.fixture
+def method(run):
+    return run.named("fc")
+
+
+def test_what_is_not_read_is_told_once_in_one_line(monkeypatch, capsys):
+    monkeypatch.setattr(before, "_told", set())
+    for _ in range(2):
+        assert main(["report", str(DRAFT)]) == 0
+    said = [line for line in capsys.readouterr().err.splitlines() if "0.3" in line]
+    assert len(said) == 1 and str(DRAFT) in said[0] and "transfer/" in said[0]
+    assert "passed_taken" in said[0] and "keep the outcome taken" in said[0]
+
+
+def test_a_run_that_lacks_nothing_is_told_nothing(run):
+    assert before.unread(DRAFT.parent / "static", load_run(DRAFT.parent / "static").header) == ""
+    assert before.unread(DRAFT, run.header) != ""
+
+
+def test_rows_that_failed_there_keep_their_outcome_and_count_as_failures(run, method):
+    rows = run.trials(method).to_pylist()
+    assert run.asks == ("pick", "received") and run.header["asks"] == ["pick", "received", "taken"]
+    assert not {"passed_taken", "transfer_end"} & set(run.trials(method).column_names)
+    lost = [r["trial_id"] for r in rows if r["outcome"] == "taken"]
+    assert lost and all(r["passed_received"] for r in rows if r["outcome"] == "taken")
+    table = table_of(run)
+    of = [r for r in table.rows if r.method == method and r.split != "Avg"]
+    assert sum(r.counts["taken"] for r in of) == len(lost)
+    assert sum(r.counts["success"] for r in of) == sum(r["outcome"] == "success" for r in rows)
+    assert f"{len(lost)} of {len(rows)} rows of {method} failed Taken" in render(table, "md").replace("\n  ", " ")
+    assert "failed Taken" in json.dumps(json.loads(render(table, "json"))["notes"])
+    kept, total = examples(run, method, 8)
+    assert total == len(rows) and "taken" in kept["outcome"].to_pylist()
+
+
+def test_other_thresholds_leave_them_failed(run, method):
+    (point,) = rethreshold(run)
+    stricter = rethreshold(run, reach_radius_m=[0.001])[0]
+    taken = OUTCOME_NAMES.index("taken")
+    assert point.counts[method][:, taken].sum() > 0 == stricter.counts[method][:, taken].sum()
+
+
+def test_why_names_what_it_failed_by(run, method, capsys):
+    lost = next(r["trial_id"] for r in run.trials(method).to_pylist() if r["outcome"] == "taken")
+    assert main(["why", str(DRAFT), str(lost), "--method", "fc"]) == 0
+    assert "taken fails: r2h_batch 0.3 judged by it, this version does not" in capsys.readouterr().out
+
+
+def test_they_are_judged_again_in_the_same_trials_by_the_criteria_that_there_are(run, method):
+    benchmark = benchmark_of_run(run.header, BenchmarkChoice(), "x")
+    assert benchmark.asks == run.asks and benchmark.digest != run.header["digests"]["benchmark"]
+    found = reevaluate(run, method, 16, Judge(run))
+    assert found.scored == 16
+    # where the object is held differs by millimetres from where a simulated closing had put it
+    others = {d.column for d in found.differences}
+    assert others <= {"outcome", "passed_received", "margin_received_m", "received_reason", "received_grasps"}
+    assert not [d for d in found.differences if d.stored == "taken" and d.again == "success"]
