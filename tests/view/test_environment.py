@@ -12,7 +12,7 @@ from needs import needs
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.closed_loop.env import LoopConfig
-from r2h_batch.closed_loop.registered import ID, TABLE_ID, register
+from r2h_batch.closed_loop.registered import ID, register
 from r2h_batch.view import environment
 
 SMALL = {"method": "random", "trials": 3, "config": LoopConfig(horizon_s=1)}
@@ -53,17 +53,29 @@ def test_a_vector_of_them_is_made_by_name_and_plays():
         (ID, {"output": "jax"}, ValueError, "output is 'jax'; allowed are numpy, torch"),
         (ID, {"privileged": "yes"}, TypeError, "privileged is 'yes'"),
         (ID, {"autoreset": 1}, TypeError, "autoreset is 1"),
-        (ID, {"release": "load-share"}, ValueError, "release needs receivers that take"),
-        (ID, {"release": 3, "motion": "takes"}, TypeError, "release is 3"),
-        (ID, {"release": "action", "motion": "takes", "action": "pose"}, ValueError, 'not "pose"'),
         (ID, {"render_mode": ["rgb_array"]}, ValueError, "render_mode is .*; allowed are None and 'rgb_array'"),
-        (TABLE_ID, {"action": "pose"}, ValueError, 'an action that moves the gripper too needs .*, not "pose"'),
+        (
+            ID,
+            {"action": "pose", "benchmark": "r2h-v3-draft"},
+            ValueError,
+            'an action that moves the gripper too needs .*, not "pose"',
+        ),
     ],
 )
 def test_a_wrong_argument_is_refused_before_a_method_answers(name, wrong, error, words, monkeypatch):
     monkeypatch.setattr(environment, "prepare", lambda *_: pytest.fail("trials were drawn"))
     with pytest.raises(error, match=words):
         gymnasium.make_vec(name, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
+
+
+@pytest.mark.check
+@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
+def test_an_episode_that_begins_on_the_table_has_no_name_until_r2h_v3_is_whole(make):
+    register()
+    with pytest.raises(gymnasium.error.VersionNotFound) as refused:
+        make("r2h_batch/Handover-v3")
+    said = str(refused.value)
+    assert "\n" not in said and "`v3`" in said and "`v1`" in said
 
 
 @needs("gl")
