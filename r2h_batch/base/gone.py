@@ -1,4 +1,4 @@
-"""What r2h_batch 0.3 had and this version has not: commands, flags and options, each with what to use instead.
+"""Names that r2h_batch 0.3 had and this version has not: commands, flags and options, each with what to use instead.
 
 Who looks up a name that is unknown asks here too, so that an old command line is told what became of it. Imports nothing.
 """

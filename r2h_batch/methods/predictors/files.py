@@ -73,7 +73,7 @@ class _OnnxNetwork:
 
 
 def _no_network(path: Path, data: bytes) -> FileError:
-    """What a file is that is neither ONNX nor weights, with what may be given."""
+    """Says which kind of file it is, and which kinds may be given."""
     if zipfile.is_zipfile(io.BytesIO(data)):
         kind = "a file of PyTorch, a program or a pickle, which runs code when read"
         how = "r2h_batch 0.3 read TorchScript, this version does not; export the network as ONNX (torch.onnx.export)"
