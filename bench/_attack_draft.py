@@ -41,8 +41,8 @@ def runs() -> Path:
     os.chdir(folder)
     with redirect_stdout(io.StringIO()):
         command(["sweep", "--benchmark", "r2h-v1", "--method", "oracle", *SHORT, "--save-paths", "--out", "run"])
-        for name in ("held", "picked", "reception", "viewed"):
-            command(["results", name, "run", *(["--processes", "1"] if name == "held" else [])])
+        for name in ("picked", "reception", "viewed"):
+            command(["results", name, "run"])
         command(["sweep", "--benchmark", DRAFT, "--method", "random", *SHORT, "--out", "draft"])
     os.chdir(here)
     return folder
@@ -530,7 +530,6 @@ def weights(path: Path) -> None:
 def kinds() -> dict[str, Kind]:
     """The kinds of this file."""
     return {
-        "held": beside("held", "held", "report", "RUN"),
         "reception": beside("reception", "received", "report", "RUN"),
         "viewed": beside("viewed", "viewed", "report", "RUN"),
         "picked": beside("picked", "picked", "results", "picked", "RUN"),

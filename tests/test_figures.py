@@ -26,7 +26,7 @@ APART = {
     "sees",
     "viewed",
 }
-APART |= {"meshes", "attacks", "strangers", "pick", "lift", "whole", "growth"}
+APART |= {"meshes", "attacks", "strangers", "pick", "whole", "growth"}
 APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "judge_physics", "learn"}

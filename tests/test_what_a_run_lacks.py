@@ -45,7 +45,7 @@ REFUSED = (
     ("export RUN --to r2handoversim --out OUT/x", SEVERAL),
     ("figures RUN --method randm --out OUT/x", NO_METHOD),
     ("figures RUN --trial 99999 --out OUT/x", NO_TRIAL),
-    *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "held", "viewed", "reception")),
+    *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "viewed", "reception")),
     ("turn RUN --method randm", NO_METHOD),
 )
 

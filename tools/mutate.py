@@ -123,7 +123,6 @@ T_KEPT = f"{T_CAPACITY}::test_capacities_of_a_users_object_are_kept_for_its_hand
 SHARD, T_SHARD = "r2h_batch/runs/shard.py", "tests/runs/test_shard.py"
 PICK, LINE, T_PICK = "r2h_batch/judge/pick.py", "kernels/plan/line.py", "tests/judge/test_pick.py"
 STRAIGHT_WAY = "r2h_batch/judge/straight_way.py"
-T_LIFT = "tests/judge/test_lift_physics.py"
 T_FOLLOWED = f"{T_PICK}::test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits"
 T_OFF = f"{T_PICK}::test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed"
 T_PICK_CHANGE = "tests/training/test_pick_change.py"
@@ -443,27 +442,6 @@ MUTATIONS = (
         "return gap + s * (shut[row] - gap)",
         "return gap + 0.0 * s * (shut[row] - gap)",
         (T_SAMPLED,),
-    ),
-    Mutation(
-        "lift: the table sinks along the gripper",
-        "r2h_batch/judge/lift_physics.py",
-        "up = T_gripper_world[:3, 2]",
-        "up = np.array([0.0, 0.0, -1.0])",
-        (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
-    ),
-    Mutation(
-        "lift: there is no table",
-        "r2h_batch/judge/lift_physics.py",
-        "contype=1, conaffinity=2, condim=CONDIM",
-        "contype=0, conaffinity=0, condim=CONDIM",
-        (f"{T_LIFT}::test_what_is_not_between_the_pads_stays_on_the_table",),
-    ),
-    Mutation(
-        "lift: fingers stay open",
-        "r2h_batch/judge/lift_physics.py",
-        "robot.open_gap_m - CLOSING_M_S * k * EVERY * STEP_S",
-        "robot.open_gap_m - 0.0 * k * EVERY * STEP_S",
-        (f"{T_LIFT}::test_what_pick_accepts_comes_up_with_the_gripper",),
     ),
     Mutation(
         "pick: a table of another seed is kept",

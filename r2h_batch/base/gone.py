@@ -8,6 +8,7 @@ _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
+    "results held": "--set stability=physics of a sweep shakes each grasp in physics",
     "import region": "say the receiver's region as parts, a plane or a file of faces: FILE.obj:S1:REGION (docs/your_data.md)",
     "observe export --believed": "a shard's pairs/ holds labelled pairs of the true object",
     "train rank --views": "train on the stream of new instances (leave --views out), and sweep with --sees",

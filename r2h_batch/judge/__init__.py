@@ -1,5 +1,4 @@
-"""Grasp, IK, plan, goal, criteria: one stage, one file. presented, pick, reception and payload measure
-what is no part of the verdict."""
+"""Grasp, IK, plan, goal, criteria: one stage, one file. presented, pick and reception measure what is no part of the verdict."""
 
 from typing import TYPE_CHECKING
 

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.config import ExecutionError, ObjectErrors
-from r2h_batch.report.held import stable_rates
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import (
@@ -28,9 +27,7 @@ from r2h_batch.report.statistics.paired import BOUNDS
 from r2h_batch.report.statistics.shares import (
     PICK,
     SHARES,
-    STABLE,
     THROUGH,
-    UNDECIDED,
     VIEWED,
     Share,
 )
@@ -253,13 +250,6 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
-    stable = stable_rates(run)
-    rows = tuple(
-        replace(row, shares={**row.shares, STABLE: found.rate, UNDECIDED: found.undecided})
-        if (found := stable.get((row.split, row.method)))
-        else row
-        for row in rows
-    )
     for name, rates in ((PICK, pick_rates(run)), (VIEWED, view_rates(run))):
         rows = tuple(
             replace(row, shares={**row.shares, name: rates[row.split, row.method]})

@@ -3,9 +3,8 @@
 import numpy as np
 from scipy.special import stdtrit
 
-from r2h_batch.report.held import rows_of
 from r2h_batch.report.statistics.aggregate import Rate
-from r2h_batch.runs.side import side_path
+from r2h_batch.runs.side import rows_of, side_path
 from r2h_batch.runs.store import Run
 
 FOLDER = "viewed"

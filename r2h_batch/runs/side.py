@@ -1,4 +1,4 @@
-"""Files beside the shards, one for each method: RUN/held, picked, reception and viewed/METHOD.parquet.
+"""Files beside the shards, one for each method: RUN/picked, reception and viewed/METHOD.parquet.
 
 `r2h-batch results` makes them of stored rows. Their size is bounded by the rows of the run before they are read. Their columns
 must be those that were written: the footer has a digest of them. Their trials and successes must be those of the shards.
@@ -47,7 +47,6 @@ class Kind(NamedTuple):
 _TRIAL = {"trial_id": pa.int64(), "success": pa.bool_()}
 _YES, _WORD = pa.bool_(), pa.string()
 KINDS = {
-    "held": Kind({**_TRIAL, "split": _WORD, "held": _YES, "undecided": _YES}, gaps=("held",)),
     "picked": Kind(
         {**_TRIAL, "object": _WORD, "split": _WORD, "picked": _YES, "pick_reason": _WORD, "pick_pair": _WORD},
         gaps=("pick_pair",),
@@ -145,21 +144,19 @@ def _bytes_of(chunk: pa.Array) -> bytes:
     return numbers.tobytes()
 
 
-def side_path(entry: Entry, folder: str, ending: str = "") -> Path:
+def side_path(entry: Entry, folder: str) -> Path:
     """The file of a method in one of `SIDE_FOLDERS`.
 
     Args:
         entry: the method.
         folder: one of `SIDE_FOLDERS`.
-        ending: what stands behind the method's name.
     """
-    return entry.folder / folder / f"{entry.slug}{ending}.parquet"
+    return entry.folder / folder / f"{entry.slug}.parquet"
 
 
 def side_files(entry: Entry) -> list[Path]:
     """The files that a method has beside its shards."""
     own = [side_path(entry, folder) for folder in SIDE_FOLDERS]
-    own += sorted((entry.folder / "held").glob(f"{entry.slug}.torsion-*.parquet"))
     return [p for p in own if os.path.lexists(p)]
 
 
@@ -220,6 +217,17 @@ def about_side(path: Path, made_of: bytes) -> dict[str, Any]:
     except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError):
         return {}
     return about if isinstance(about, dict) else {}
+
+
+def rows_of(path: Path, made_of: bytes) -> str | None:
+    """Digest of the rows that a file was made of, None: it is no such file.
+
+    Args:
+        path: of the file; it may be missing.
+        made_of: key of its metadata.
+    """
+    rows = about_side(path, made_of).get("rows")
+    return None if rows is None else str(rows)
 
 
 def is_kept(path: Path, schema: pa.Schema, trials: int) -> bool:

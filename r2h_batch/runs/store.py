@@ -7,7 +7,7 @@ methods/METHOD.json                a method, and where its answers come from
 shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
 quarantine/METHOD/000017.json      a shard that failed three times, and its errors
 .claims/METHOD-000017              who works on a shard, and how many processes died at it
-held/METHOD.parquet                and reception/: what `r2h-batch results` made of the rows (side.py)
+picked/METHOD.parquet              and reception/, viewed/: what `r2h-batch results` made of the rows (side.py)
 """
 
 import csv
@@ -487,7 +487,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: held, picked, reception or viewed.
+            folder: picked, reception or viewed.
             path: the file; None: that of the method.
 
         Raises:

@@ -1,6 +1,7 @@
 """Rows of r2h_batch 0.3 that were judged by what nobody judges by any more: read, counted and judged again."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,19 @@ def test_what_is_not_read_is_told_once_in_one_line(monkeypatch, capsys):
 def test_a_run_that_lacks_nothing_is_told_nothing(run):
     assert before.unread(DRAFT.parent / "static", load_run(DRAFT.parent / "static").header) == ""
     assert before.unread(DRAFT, run.header) != ""
+
+
+def test_every_folder_of_before_beside_the_shards_is_told_and_stays(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(before, "_told", set())
+    run = shutil.copytree(DRAFT.parent / "static", tmp_path / "run")
+    for name in before.FOLDERS:
+        (run / name).mkdir()
+        (run / name / "whatever.parquet").write_bytes(b"it was")
+    assert main(["compare", str(run)]) == 0
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if "0.3" in line]
+    assert f"not read: {', '.join(f'{name}/' for name in before.FOLDERS)}" in said
+    assert main(["results", "verify", str(run)]) == 0
+    assert all((run / name / "whatever.parquet").read_bytes() == b"it was" for name in before.FOLDERS)
 
 
 def test_rows_that_failed_there_keep_their_outcome_and_count_as_failures(run, method):

@@ -51,7 +51,6 @@ def compare(
             interval for the mean of all categories (without families: objects).
     """
     from r2h_batch.report.compare.text import render
-    from r2h_batch.report.held import NOTE, stable_rates
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
@@ -88,17 +87,9 @@ def compare(
     tests = [turned(run) for run in stored]
     called = list(zip(paired.names, paired.runs, paired.methods, strict=True))
     turns = [replace(t, method=n) for n, k, own in called for t in tests[k] if t.method == own]
-    rates = [stable_rates(run) for run in stored]
-    held = [
-        f"{n} {stable.rate.percent:.1f} ({split}, {stable.rate.total}; undecided {stable.undecided.percent:.1f})"
-        for n, k, own in called
-        for (split, name), stable in rates[k].items()
-        if name == own
-    ]
-    known = [f"{NOTE}: {'; '.join(held)}"]
     marked = (test.sentence for test in turns if test.marked)
     learned = [plain(line) if format == "md" else line for r in stored for line in sentences(r)]
-    notes = (*common.notes, *paired.notes, *marked, *learned, *(known if held else ()))
+    notes = (*common.notes, *paired.notes, *marked, *learned)
     shares = {
         n: {
             key: rate_of(*hits)

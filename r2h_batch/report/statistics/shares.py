@@ -24,7 +24,7 @@ class Share:
         caption: what is counted, of which rows; a sentence.
         needs: stored columns of trials that it is made of; rows of older versions have null there.
         of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
-            stored column says it (`report.held`, `report.picks`, `report.viewed`).
+            stored column says it (`report.picks`, `report.viewed`).
     """
 
     heading: str
@@ -48,7 +48,6 @@ def _through(rows: pa.Table) -> pa.ChunkedArray:
 
 
 THROUGH = "through"
-STABLE, UNDECIDED = "physically_stable", "physically_undecided"
 PICK, VIEWED = "pick", "viewed"
 
 SHARES: Registry[Share] = Registry(
@@ -71,14 +70,6 @@ SHARES: Registry[Share] = Registry(
             "Successes whose path passes through something by more than 0.1 mm between two samples (edge_check moveit).",
             ("outcome", "margin_plan_m"),
             _through,
-        ),
-        STABLE: Share(
-            "Physically stable",
-            "Trials past Stability whose object holds in physics, closed and under the weight for 1 s (not in SR).",
-        ),
-        UNDECIDED: Share(
-            "Stable undecided",
-            "Trials past Stability that are too near a limit of Physically stable to say.",
         ),
         PICK: Share(
             "Pick posture",

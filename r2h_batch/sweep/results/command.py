@@ -6,7 +6,6 @@ reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
 picked RUN        print how many objects the arm can pick from the table with the stored grasps
-held RUN          print how many grasps hold in physics: after closing, and under the weight
 viewed RUN        print how much of the part that they want the receivers see
 """
 
@@ -14,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.command_line import check_range, check_seed
+from r2h_batch.base.command_line import check_seed
 from r2h_batch.base.errors import UsageError
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
@@ -22,8 +21,6 @@ from r2h_batch.sweep.results.rethreshold import rethreshold
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
 
-MOST_TORSION_MM = 11.0
-MOST_DRAWS, MOST_PROCESSES = 10_000, 1024
 LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
@@ -32,7 +29,7 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (held, reception, viewed) that are too large, of other trials, or not as they were written
+    Files beside the shards (picked, reception, viewed) that are too large, of other trials, or not as they were written
     are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1:
     the same sweep will score some shards again, or a file was set aside.
 
@@ -234,47 +231,6 @@ def picked(
     return 0
 
 
-def held(
-    folder: Path,
-    /,
-    *,
-    method: tuple[str, ...] = (),
-    torsion_mm: float = 5.0,
-    processes: int = 0,
-    benchmark: BenchmarkChoice = DEFAULT,
-    device: str = "cpu",
-) -> int:
-    """Print how many grasps hold in physics, and whether closing or the weight loses the others; write RUN/held/METHOD.parquet.
-
-    Stability is geometric: it passes an object that the closing fingers push away, and a heavy one that slides out. The
-    command simulates each grasp that passes it in MuJoCo. `report` and `compare` then show the rate. The success rate does
-    not depend on it.
-
-    Args:
-        folder: a run folder, as `r2h-batch sweep --out` writes it.
-        method: only these methods, by the sweep's word (fc) or the table's name.
-        torsion_mm: radius of the pads' patches that withstand turning, mm. Another one than 5 has files of its own, which
-            report does not show.
-        processes: processes that simulate; 0: one for each core.
-        benchmark: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N, for the grasps.
-    """
-    check_range("--processes", processes, 0, MOST_PROCESSES)
-    if not 0 < torsion_mm <= MOST_TORSION_MM:
-        raise UsageError(
-            f"--torsion-mm {torsion_mm:g}: give more than 0 and at most {MOST_TORSION_MM:g}, the half width of a pad"
-        )
-    run = _opened(folder, method, "held")
-    from r2h_batch.base.launch import cpu_threads
-    from r2h_batch.sweep.results import held as simulated
-
-    files = simulated.write_tables(
-        run, benchmark, count=processes or cpu_threads(), device=device, torsion_mm=torsion_mm
-    )
-    print(simulated.render(files), end="")
-    return 0
-
-
 def viewed(
     folder: Path,
     /,
@@ -323,6 +279,5 @@ COMMANDS = {
     "rethreshold": rethreshold,
     "reception": reception,
     "picked": picked,
-    "held": held,
     "viewed": viewed,
 }
