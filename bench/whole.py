@@ -104,11 +104,10 @@ Thresholds are those that [Pick](../pick.md) and [reception](../receivers.md#rec
 
 {stages}
 
-{older}
-Methods take the best grasp by their own rule that the arm can pick ([what changes for each](../baselines.md#on-the-table));
-random does not look at the table. The oracle searches grasps that Pick accepts, and asks all criteria. It has no
-answer for {unsolved} of {n} trials{unsolved_words}. Trials are [drawn until it has one](#solvable-by-construction), so its
-rate is no measurement, and has no interval.
+{older}Methods take the best grasp by their own rule that the arm can pick ([what changes for
+each](../baselines.md#on-the-table)); random does not look at the table. The oracle searches grasps that Pick accepts, and asks
+all criteria. It has no answer for {unsolved} of {n} trials{unsolved_words}. Trials are [drawn until it has
+one](#solvable-by-construction), so its rate is no measurement, and has no interval.
 
 {order}Why Pick fails, percent of the trials that fail it first:
 

@@ -649,6 +649,7 @@ def record(row: Row) -> dict[str, Any]:
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     others = {entry.name for rate, entry in ASKED_FAILURES.items() if rate not in row.rates}
+    others |= {name for name in NO_LONGER if not row.counts[name]}
     return fields | {f"n_{name}": n for name, n in row.counts.items() if name not in others}
 
 

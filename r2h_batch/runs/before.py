@@ -1,4 +1,4 @@
-"""What run folders of r2h_batch 0.3 and before hold that this version does not read, told in one line."""
+"""Folders, columns and criteria of r2h_batch 0.3 that this version does not read, told in one line."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -45,7 +45,7 @@ def _tell(folder: Path, words: str) -> None:
 
 
 def unread(folder: Path, header: Mapping[str, Any]) -> str:
-    """What nobody reads of a run, in words; empty where all is read.
+    """The folders and columns of a run that nobody reads, in words; empty where all is read.
 
     Args:
         folder: the run folder.

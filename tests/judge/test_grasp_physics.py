@@ -1,8 +1,12 @@
 """Closing and shaking in physics: the rest opening of convex parts is their width, and weight decides what is held."""
 
+import re
 from dataclasses import replace
 from functools import cache
+from operator import attrgetter
+from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -15,11 +19,12 @@ from r2h_batch.base.launch import init_warp
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge import grasp_physics
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import build_object
-from r2h_batch.scene.robot import Robot, gap_from_drive, load_robot
+from r2h_batch.scene.robot import Robot, drive_from_gap, gap_from_drive, load_robot
 
 X, Y, Z = np.eye(3)
 JAWS, TABLE = with_jaws(load_robot()), with_table(load_robot())
@@ -116,3 +121,65 @@ def test_stability_by_physics_fails_what_drops_and_tells_the_slip_in_its_margin(
     expected = torch.minimum(plain.margin[:2, 0], 0.02 - slip[:2])  # geometry's margin counts 1 cm at most
     assert shaken.margin[:2, 0] == pytest.approx(expected, abs=1e-6) and shaken.margin[1, 0] < -0.03
     assert torch.equal(plain.margin[:2, 2], shaken.margin[:2, 2])
+
+
+def closing(k: int) -> tuple[mujoco.MjModel, mujoco.MjData]:
+    """The model of a part in the open gripper."""
+    m = grasp_physics.gripper_spec(load_robot(), parts()[k], frame(Z, Y, np.zeros(3))).compile()
+    d = mujoco.MjData(m)
+    d.qpos[: m.nq - 7] = grasp_physics.finger_posture(load_robot(), load_robot().open_gap_m)
+    return m, d
+
+
+def test_parts_of_a_finger_weigh_where_they_are():
+    """MuJoCo's compiler puts the mass of a body that says no place at twice the body's own: 63 mm off the driver's pivot."""
+    m, d = closing(1)
+    mujoco.mj_kinematics(m, d)
+    for name in grasp_physics.FINGERS:
+        pivot, pin = d.joint(name).xanchor, d.joint(f"{name}_pad").xanchor
+        assert d.body(name).xipos == pytest.approx((pivot + pin) / 2, abs=1e-9)
+        assert d.body(f"{name}_pad").xipos == pytest.approx(d.geom(name).xpos, abs=1e-9)
+
+
+@pytest.mark.parametrize("k", [0, 2, 5])
+def test_pads_that_press_stay_upright(k):
+    """With the impedance that MuJoCo gives ties by default they lean by 0.9 to 1.2 mrad."""
+    m, d = closing(k)
+    m.dof_damping[-6:] = parts()[k].mass * 50  # nothing drifts off at a touch
+    for gap in np.arange(load_robot().open_gap_m, 0.0, -0.15 * 0.005):
+        d.ctrl[:] = drive_from_gap(load_robot(), gap)
+        mujoco.mj_step(m, d, 10)
+    d.ctrl[:] = drive_from_gap(load_robot(), 0.0)
+    mujoco.mj_step(m, d, 700)
+    for name in grasp_physics.FINGERS:
+        assert abs(float(d.joint(name).qpos[0] + d.joint(f"{name}_pad").qpos[0])) < 4e-4
+
+
+SECTION = (Path(__file__).resolve().parents[2] / "docs" / "choices.md").read_text("utf-8")
+SECTION = SECTION.split("### Contacts of the physics test")[1].split("\n## ")[0]
+SI = {"mm": 1e-3, "cm/s": 1e-2, "ms": 1e-3}
+ROWS = [line.strip("|").split("|") for line in SECTION.splitlines() if "`grasp_physics." in line]
+
+
+@pytest.mark.check
+@pytest.mark.parametrize(("what", "value", "code"), ROWS, ids=[row[0].strip() for row in ROWS])
+def test_numbers_of_the_page_are_those_of_the_code(what, value, code):
+    said = []
+    for group in value.split(";"):  # the unit stands behind the last of its numbers
+        unit, own = "", []
+        for part in reversed(group.split(",")):
+            if number := re.fullmatch(r"(-?[\d.]+(?:e-?\d+)?)\s*(.*)", part.strip()):
+                unit = number[2] or unit
+                own.append(float(number[1]) * SI.get(unit, 1.0))
+        said += own[::-1]
+    names = re.findall(r"`grasp_physics\.([\w.]+)`", code)
+    found = [x for name in names for x in np.atleast_1d(np.asarray(attrgetter(name)(grasp_physics), float)).tolist()]
+    assert said == pytest.approx(found, rel=1e-6), what
+
+
+def test_the_page_has_every_number_of_the_contacts():
+    named = set(re.findall(r"`grasp_physics\.([A-Z_0-9]+)`", SECTION))
+    numbers = {
+        name for name, value in vars(grasp_physics).items() if name.isupper() and isinstance(value, (int, float, tuple))
+    }
+    assert numbers - named == {"JAW_GAINS", "SETTLE_S", "G", "DROPPED_M", "FINGERS", "HINGE", "SLIDE"} & numbers

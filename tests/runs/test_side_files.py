@@ -47,7 +47,7 @@ def put(run, rows):
 
 
 def read(run):
-    """What tables read of it."""
+    """The columns of it that tables read."""
     return load_run(run).side("m", RECEPTION)
 
 
