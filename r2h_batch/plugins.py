@@ -124,6 +124,10 @@ class Registry(Generic[T]):
         """Names that other packages' entry points give as KIND.NAME; nothing is imported."""
         return tuple(self._declared_names())
 
+    def known(self, name: str) -> T | None:
+        """The thing of this name where it is here already; nothing is imported."""
+        return self._things.get(name)
+
     def outside(self, name: str) -> str:
         """`module:name` of a function or class of somebody else's; empty for ours.
 
@@ -153,7 +157,7 @@ class Registry(Generic[T]):
         """Name -> entry point of a stranger's, of those that are called KIND.NAME."""
         if self._declared is None:
             found: dict[str, EntryPoint] = {}
-            for entry in _entries():
+            for entry in installed():
                 of, dot, name = entry.name.partition(".")
                 if of != self.kind.replace(" ", "_") or not dot:
                     continue
@@ -179,7 +183,7 @@ class Registry(Generic[T]):
             return
         self._strangers = True  # such a module may ask for names itself
         try:
-            for entry in _entries():
+            for entry in installed():
                 if "." not in entry.name:
                     _loaded(entry)
         except BaseException:
@@ -188,7 +192,8 @@ class Registry(Generic[T]):
 
 
 @lru_cache(maxsize=1)
-def _entries() -> tuple[EntryPoint, ...]:
+def installed() -> tuple[EntryPoint, ...]:
+    """What other packages name in their entry points, all kinds together; nothing is imported."""
     return tuple(entry_points(group=GROUP))
 
 

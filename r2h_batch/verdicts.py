@@ -163,6 +163,10 @@ if [o.name.lower() for o in Outcome][1:-2] != [entry.name for entry in EVERY]:
     raise ValueError(f"new criteria stand behind {CRITERIA[4]}; REGISTRY has {', '.join(CRITERIA)}")
 
 
+ELSEWHERE = "other_criterion"
+"""Read in the place of the outcome of a criterion that is not known here: its package is not installed. No row is stored so."""
+
+
 class MarginKind(IntEnum):
     """Meaning of a stored margin (`Scores.margin_kind`). Averages of margins leave `CAP` out."""
 

@@ -6,6 +6,7 @@ named in a string counts as well: `"r2h_batch.closed_loop.policies"`, a package 
 `plugins.Registry` imports them), and `f"r2h_batch.judge.motion.sim_{engine}"` with whatever begins so.
 """
 
+import os
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -34,12 +35,23 @@ def modules_of(folders: Sequence[Path]) -> dict[str, Path]:
 
 def _below(folder: Path, name: str) -> dict[str, Path]:
     files = {}
-    for path in folder.rglob("*.py"):
+    for path in files_below(folder, (".py",)):
         *rooms, last = path.relative_to(folder).with_suffix("").parts
         if name == PACKAGE and rooms and rooms[0] == "assets":  # in a wheel they lie inside
             continue
         files[".".join((name, *rooms, *([] if last == "__init__" else [last])))] = path
     return files
+
+
+def files_below(folder: Path, kinds: Collection[str]) -> Iterator[Path]:
+    """Files with one of these endings in a folder and below, also where a folder is a link.
+
+    Args:
+        folder: it may be missing.
+        kinds: as ".py".
+    """
+    for place, _, names in os.walk(folder, followlinks=True):
+        yield from (Path(place, name) for name in names if os.path.splitext(name)[1] in kinds)
 
 
 def imported_by(

@@ -39,10 +39,12 @@ class UserFunction:
     spec: str
 
     def files(self) -> dict[str, Path]:
-        """Name -> file of each module of the user's that the function needs, as `user_files`."""
+        """Name -> file of each module that the function needs, as `user_files`: the user's, and those of its own package
+        where that is installed."""
         name = self.module.__name__
         of_function = getattr(self.function, "__module__", None) or name
-        return user_files([name, of_function, *_BROUGHT.get(name, ())])
+        own = name.partition(".")[0]
+        return user_files([name, of_function, *_BROUGHT.get(name, ())], installed={own})
 
 
 def load_function(spec: str, kind: str = "function") -> UserFunction:
@@ -172,25 +174,18 @@ def _import_file(file: Path) -> ModuleType:
     return module
 
 
-def user_files(modules: Iterable[str]) -> dict[str, Path]:
-    """Name -> file of the user's modules among these and of those that they import, in functions
-    too.
+def user_files(modules: Iterable[str], *, installed: Collection[str] = ()) -> dict[str, Path]:
+    """Name -> file of the user's modules among these and of those that they import (`module_files`), and of the files that
+    they read: `METHOD_FILES` of a module, a sequence of paths from its folder, names them, or folders of them.
 
-    The user's are those outside site-packages, the standard library and this package. Nothing is
-    imported or run: names of `import` statements are looked up. `METHOD_FILES` of a module, a
-    sequence of paths from its folder, adds the files that it reads, or folders of them.
+    Args:
+        modules: dotted names.
+        installed: packages in site-packages that count as the user's too.
 
     Raises:
         FileError: a file of `METHOD_FILES` is not there.
     """
-    left, found = list(modules), {}
-    while left:
-        name = left.pop()
-        if name in found or (file := _module_file(name)) is None:
-            continue
-        found[name] = file
-        if file.suffix == ".py":
-            left += _imported(name, file)
+    found = module_files(modules, installed=installed)
     for name, file in list(found.items()):
         for listed in getattr(sys.modules.get(name), "METHOD_FILES", ()):
             path = file.parent / os.path.expanduser(listed)
@@ -201,8 +196,30 @@ def user_files(modules: Iterable[str]) -> dict[str, Path]:
     return dict(sorted(found.items()))
 
 
-def _module_file(name: str) -> Path | None:
-    """The file of a user's module; None for other modules and for those without a file."""
+def module_files(modules: Iterable[str], *, installed: Collection[str] = ()) -> dict[str, Path]:
+    """Name -> file of the user's modules among these and of those that they import, in functions too.
+
+    The user's are those outside site-packages, the standard library and this package. Nothing is imported or run: names
+    of `import` statements are looked up.
+
+    Args:
+        modules: dotted names.
+        installed: packages in site-packages that count as the user's too.
+    """
+    left, found = list(modules), {}
+    while left:
+        name = left.pop()
+        if name in found or (file := _module_file(name, installed)) is None:
+            continue
+        found[name] = file
+        if file.suffix == ".py":
+            left += _imported(name, file)
+    return dict(sorted(found.items()))
+
+
+def _module_file(name: str, also: Collection[str] = ()) -> Path | None:
+    """The file of a user's module; None for other modules and for those without a file. `also`: as `installed` of
+    `user_files`."""
     if name.partition(".")[0] == "r2h_batch":
         return None
     if (module := sys.modules.get(name)) is not None:
@@ -210,8 +227,13 @@ def _module_file(name: str) -> Path | None:
     else:  # imported in a function, so far not
         file, path = None, None
         for end in [i for i, c in enumerate(f"{name}.") if c == "."]:
-            try:
-                spec = PathFinder.find_spec(name[:end], path)
+            try:  # whoever is installed as editable may be known to a finder of its own
+                ours = path is None and name[:end] in also
+                spec = (
+                    importlib.util.find_spec(name[:end])
+                    if ours
+                    else PathFinder.find_spec(name[:end], path)
+                )
             except (ImportError, ValueError):
                 spec = None
             if spec is None:
@@ -220,9 +242,10 @@ def _module_file(name: str) -> Path | None:
     if not file or not os.path.isfile(file):
         return None
     found = Path(os.path.abspath(file))
+    if {"site-packages", "dist-packages"} & set(found.parts):
+        return found if name.partition(".")[0] in also else None
     library = [sysconfig.get_path(k) for k in ("stdlib", "platstdlib")]
-    installed = {"site-packages", "dist-packages"} & set(found.parts)
-    return None if installed or any(map(found.is_relative_to, library)) else found
+    return None if any(map(found.is_relative_to, library)) else found
 
 
 def _imported(name: str, file: Path) -> Iterator[str]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from r2h_batch.report.statistics.breakdown import Histogram
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import EVERY, NO_LONGER
+from r2h_batch.verdicts import ELSEWHERE, EVERY, NO_LONGER
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -24,6 +24,7 @@ COLORS = {
     "invalid_sim": "#5a5a5a",
     "missing": "#c8c8c8",
     **dict.fromkeys(NO_LONGER, "#9467bd"),
+    ELSEWHERE: "#b3a369",
 }
 """One colour for each outcome, from Okabe and Ito's palette, which colour-blind readers can tell
 apart."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from r2h_batch.verdicts import EVERY, NO_LONGER, UNITS, Unit
+from r2h_batch.verdicts import ELSEWHERE, EVERY, NO_LONGER, UNITS, Unit
 
 REASONS = {
     "start_in_collision": "the arm collides where its path begins",
@@ -92,6 +92,8 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
     if outcome in NO_LONGER:
         return f"{outcome} fails: r2h_batch 0.3 judged by it, this version does not"
+    if outcome == ELSEWHERE:
+        return "fails a criterion whose package is not installed here"
     if outcome not in ENTRIES:
         return outcome.replace("_", " ")
     size, unit = short_by(row, outcome)

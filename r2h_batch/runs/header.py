@@ -25,7 +25,7 @@ from r2h_batch.base.io.read import read_json as read_any_json
 from r2h_batch.base.validate import rule_of
 from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
-from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.runs.plugged import other_plugins
 from r2h_batch.verdicts import ASKED_NAMES, NO_LONGER
 
 FORMAT = 4
@@ -55,7 +55,6 @@ _ABSENT: Any = None  # a field may be absent, but a written one is not null
 Count = Annotated[int, Field(ge=0, le=10**12)]
 Split = Literal["S0", "S1"]
 Kind = Literal["trials", "details", "poses", "paths", "failures", "episodes", "sees"]
-OutcomeName = Literal[OUTCOME_NAMES]  # type: ignore[valid-type]
 Text = Annotated[str, Field(max_length=MAX_TEXT)]
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 Hash = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -81,6 +80,13 @@ class _Open(BaseModel):
 class _Versions(_Open):
     __pydantic_extra__: dict[str, Text]  # type: ignore[assignment]
     r2h_batch: Text
+
+
+class _PlugIn(_Open):
+    package: Text
+    version: Text
+    module: Text
+    sha256: Hash
 
 
 class _Object(_Open):
@@ -139,6 +145,8 @@ Header = _record(
     digests=_record(trials=Text),
     # what `digests.code` was made of: room of the package -> digest
     code_parts=(dict[Text, Hash], _ABSENT),
+    # what other packages added: KIND.NAME -> package, version, module and digest (plugged.py)
+    plugins=(dict[Text, _PlugIn], _ABSENT),
     seed=Annotated[int, Field(ge=-(1 << 63), lt=1 << 63)],
     device=_record(kind=Text, name=Text),
     versions=_Versions,
@@ -224,7 +232,7 @@ def checked(model: type[Record], data: Any, path: Path) -> dict[str, Any]:
 def _identity(header: Mapping[str, Any]) -> dict[str, Any]:
     """The fields of the header that decide the rows of a run; older folders have no `predictors` or no `hands`."""
     found = {k: header.get(k) for k in IDENTITY}
-    found |= {k: header[k] for k in ("predictors", "hands", "asks") if k in header}
+    found |= {k: header[k] for k in ("predictors", "hands", "asks", "plugins") if k in header}
     return {**found, "device": (header.get("device") or {}).get("kind")}
 
 
@@ -235,7 +243,8 @@ def run_hash(header: Mapping[str, Any]) -> str:
 
 
 def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Names of the identity's fields in which two headers differ, with the parts that differ."""
+    """Names of the identity's fields in which two headers differ, with the parts that differ, and of what other packages
+    add (`other_plugins`)."""
     a, b, names = _identity(old), _identity(new), []
     for key in (*IDENTITY, "predictors"):
         x, y = a.get(key), b.get(key)
@@ -245,7 +254,7 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
                 inner = sorted(k for k in {**x, **y} if x.get(k) != y.get(k))
                 inner = [_code_of(old, new) if k == "code" else k for k in inner]
             names.append(f"{key} ({', '.join(inner)})" if inner else key)
-    return names
+    return names + other_plugins(old, new)
 
 
 def _code_of(old: Mapping[str, Any], new: Mapping[str, Any]) -> str:

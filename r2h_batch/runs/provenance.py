@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import cast
 
 from r2h_batch.base.io.read import open_file
-from r2h_batch.base.own_imports import PACKAGE, imported_by, is_package, modules_of
+from r2h_batch.base.own_imports import PACKAGE, files_below, imported_by, is_package, modules_of
 from r2h_batch.base.package import FOLDERS, ROOT, VERSION
 from r2h_batch.base.registry import ENGINES
 
@@ -95,7 +95,7 @@ def deciding_files() -> dict[Path, Path]:
     rooms = {file.parent for file in deciding if is_package(file)}
     # kernels/ and assets/: in a wheel inside the package, in a checkout beside it
     for folder in (FOLDERS[0], *(f / name for f in FOLDERS[1:] for name in ("kernels", "assets"))):
-        for path in _sources(folder, (*DATA, ".h")):
+        for path in files_below(folder, (*DATA, ".h")):
             room = next((p for p in path.parents if p in packages), None)
             if room in rooms or _key(path).parts[0] == "assets":
                 deciding.append(path)
@@ -106,10 +106,6 @@ def _key(file: Path) -> Path:
     """The place of a file in the package: the same in a checkout and in a wheel."""
     inside = FOLDERS[0] if file.is_relative_to(FOLDERS[0]) else FOLDERS[-1]
     return file.relative_to(inside)
-
-
-def _sources(folder: Path, kinds: tuple[str, ...]) -> Iterable[Path]:
-    return (p for p in folder.rglob("*") if p.suffix in kinds and p.is_file())
 
 
 MAX_BYTES = 1 << 42

@@ -17,6 +17,7 @@ from r2h_batch.runs.columns import (
     schema_of_kind,
 )
 from r2h_batch.verdicts import (
+    ELSEWHERE,
     EVERY,
     NO_LONGER,
     PERSON,
@@ -38,8 +39,8 @@ MISSING = max(Outcome) + 1
 """Outcome code of a planned trial for which the method gave no prediction: it counts as a failure
 of its own kind."""
 
-OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing", *NO_LONGER)
-"""Name of every outcome code, in order; the last ones are of older rows alone."""
+OUTCOME_NAMES = (*(o.name.lower() for o in Outcome), "missing", *NO_LONGER, ELSEWHERE)
+"""Name of every outcome code, in order; the last ones are of older rows, and of criteria of packages that are not installed."""
 
 KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
 """Name of every kind of margin, in order from code 1."""

@@ -13,7 +13,7 @@ import re
 import socket
 import stat
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -43,7 +43,6 @@ from r2h_batch.runs.header import (
     Count,
     Hash,
     Name,
-    OutcomeName,
     Record,
     Shard,
     Split,
@@ -54,6 +53,7 @@ from r2h_batch.runs.header import (
     shard_at,
 )
 from r2h_batch.runs.rows import OUTCOME_NAMES
+from r2h_batch.verdicts import ELSEWHERE, EVERY
 
 RECEIPT = b"r2h_batch"
 """Key of the receipt among the file's metadata."""
@@ -63,6 +63,9 @@ KINDS = tuple(kind for kind in TABLES if kind != "trials")
 
 ANSWERED = ("details", "poses", "episodes", "sees")
 """Kinds with a row for each trial that was answered."""
+
+PASSED = "passed_"
+"""Begins the column of a criterion's verdicts."""
 
 MAX_WORDS = 100_000  # different words in one column of a shard
 
@@ -76,7 +79,7 @@ class Receipt(Record):
     method: Name
     first: Count
     last: Count
-    outcomes: dict[Split, dict[OutcomeName, Count]]
+    outcomes: dict[Split, dict[Name, Count]]
     seconds: Annotated[float, Field(ge=0, le=1e12)] = 0.0
     host: Text = ""
     written: Text = ""
@@ -123,6 +126,9 @@ class StoredShard:
             raise RunError(f"{self.path}: foreign, its footer holds no receipt") from None
         receipt = checked(Receipt, said, self.path)
         check_receipt(receipt, self.header, self.method, self.shard, self.path)
+        outcomes = {name for counts in receipt["outcomes"].values() for name in counts}
+        if what := _unknown_outcome(outcomes, unknown_criteria(schema)):
+            raise RunError(f"{self.path}: its receipt {what}")
         if rows != (trials := self.shard.last - self.shard.first):
             raise RunError(f"{self.path}: holds {rows} rows, its range has {trials} trials")
         kinds = tuple(kind for kind in KINDS if kind in schema.names)
@@ -145,6 +151,7 @@ class StoredShard:
                 most = most_bytes(kind, self.shard.last - self.shard.first)
                 check_decoded_size(file, most, str(self.path), asked)
                 table = file.read(columns=asked)
+                unknown = unknown_criteria(file.schema_arrow)
         except FileError as error:
             raise RunError(str(error)) from None
         except (OSError, pa.ArrowException) as error:
@@ -156,8 +163,9 @@ class StoredShard:
             ]
             table = pa.table(columns_, names=there)
         schema = schema_of(self.header, kind, unread=True)
-        check_columns(table, schema, self.path)
-        return table.select(there).cast(pa.schema([schema.field(n) for n in there]))
+        check_columns(table, schema, self.path, unknown)
+        table = table.select(there).cast(pa.schema([schema.field(n) for n in there]))
+        return _known_outcomes(table, unknown) if unknown and "outcome" in there else table
 
 
 def _present(schema: pa.Schema, kind: str, columns: Sequence[str], path: Path) -> list[str]:
@@ -213,16 +221,45 @@ def check_present(kind: str, columns: Sequence[str], names: set[str], path: Path
         raise RunError(f"{path}: column {min(lacking)!r} is missing")
 
 
-def check_columns(table: pa.Table, schema: pa.Schema, path: Path) -> None:
-    """`RunError` if a column is there twice, is of another type, has gaps or holds words that are no names."""
+def check_columns(
+    table: pa.Table, schema: pa.Schema, path: Path, unknown: Collection[str] = ()
+) -> None:
+    """`RunError` if a column is there twice, is of another type, has gaps or holds words that are no names. `unknown`: as
+    `unknown_criteria` found them in the file."""
     for name in table.column_names:
         if table.column_names.count(name) > 1:
             raise RunError(f"{path}: column {name!r} is there twice; a run folder has it once")
-        if what := _wrong_column(table[name], schema.field(name)):
+        if what := _wrong_column(table[name], schema.field(name), unknown):
             raise RunError(f"{path}: column {name!r} {what}")
 
 
-def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
+def unknown_criteria(schema: pa.Schema) -> frozenset[str]:
+    """Criteria by which rows were judged and that are not known here: their package is not installed, or they came later.
+    Their columns are not read.
+
+    Args:
+        schema: of the file.
+    """
+    judged = {name.removeprefix(PASSED) for name in schema.names if name.startswith(PASSED)}
+    return frozenset(judged - {entry.name for entry in EVERY} - {*OUTCOME_NAMES})
+
+
+def _unknown_outcome(words: Iterable[str | None], unknown: Collection[str]) -> str:
+    """What is wrong with outcomes; empty where nothing is."""
+    odd = {w for w in words if w is not None} - {*OUTCOME_NAMES, *unknown}
+    return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}" if odd else ""
+
+
+def _known_outcomes(table: pa.Table, unknown: Collection[str]) -> pa.Table:
+    """The trials with `ELSEWHERE` as the outcome of those that failed an unknown criterion first."""
+    place = table.column_names.index("outcome")
+    words = table["outcome"].cast(pa.string())
+    failed = pc.is_in(words, pa.array(sorted(unknown)))
+    known = pc.if_else(failed, ELSEWHERE, words).cast(table["outcome"].type)
+    return table.set_column(place, table.schema.field(place), known)
+
+
+def _wrong_column(column: pa.ChunkedArray, field: pa.Field, unknown: Collection[str]) -> str:
     if column.type != field.type:
         return "is of another type than run folders have"
     if not field.nullable and column.null_count:
@@ -238,8 +275,8 @@ def _wrong_column(column: pa.ChunkedArray, field: pa.Field) -> str:
             names = all(w and len(w) <= 200 and w.isprintable() for w in words)
             if len(words) > MAX_WORDS or not names:
                 return "holds an entry that is not a name; sweep again"
-            if field.name == "outcome" and (odd := set(words) - set(OUTCOME_NAMES)):
-                return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}"
+            if field.name == "outcome" and (what := _unknown_outcome(words, unknown)):
+                return what
     return ""
 
 

@@ -28,6 +28,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.base.errors import nearest
+from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
@@ -37,6 +38,7 @@ from r2h_batch.runs.explain import Explanation, explained
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
+from r2h_batch.runs.plugged import lacking
 from r2h_batch.runs.side import is_kept, read_side, side_path
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
@@ -106,6 +108,11 @@ class Run:
     def criteria(self) -> tuple[CriterionEntry, ...]:
         """All that its benchmark asks for, in the order of the stored columns."""
         return EVERY[: len(REGISTRY) + len(self.asks)]
+
+    @property
+    def lacking(self) -> tuple[str, ...]:
+        """Criteria and shares of packages that are not installed here, in words; the run is read without their columns."""
+        return tuple(dict.fromkeys(words for run in self.runs for words in lacking(run.header)))
 
     @property
     def concerned(self) -> dict[str, frozenset[str]]:
@@ -596,6 +603,19 @@ def join(runs: Sequence[Run]) -> Run:
     return Run(runs[0].folder, runs[0].header, tuple(entries.values()), parts)
 
 
+_TOLD: set[tuple[str, ...]] = set()
+
+
+def _tell_lacking(run: Run) -> None:
+    """One line about what is not installed, once for each run."""
+    if (words := run.lacking) and (told := (str(run.folder.absolute()), *words)) not in _TOLD:
+        _TOLD.add(told)
+        LOG.info(
+            f"{run.folder}: read without the columns of {' and '.join(words)}, not installed here; a row that failed such a"
+            " criterion counts as failed"
+        )
+
+
 @check_arguments(verify=boolean)
 def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     """Open a stored run.
@@ -615,6 +635,7 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
     header = read_header(folder)
     tell_unread(folder, header)
     run = Run(folder, header, tuple(e.listed() for e in read_methods(folder, header)))
+    _tell_lacking(run)
     if verify:
         run.verify()
     return run

@@ -21,6 +21,7 @@ from r2h_batch.base.command_line import counted
 from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
+from r2h_batch.base.own_imports import PACKAGE
 from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
@@ -29,6 +30,7 @@ from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.trials_file import Labels
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
+from r2h_batch.runs.plugged import package_of_method, plugin_records
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Methods, Request, Work
@@ -146,12 +148,28 @@ def set_up(request: Request) -> Setting:
         predictors=request.methods.about_predictors(),
         stored=request.storage.kinds,
     )
+    methods = [base_of(name) for name in request.methods.names]
+    if added := plugin_records(families=families_of(benchmark.objects), methods=methods):
+        setting.header["plugins"] = added
     if sees is not None:
         setting.header["sees"] = sees.identity
         setting.header["digests"]["sees"] = sees.digest
     if request.left_out:
         setting.header["motions_left_out"] = dict(request.left_out)
     return setting
+
+
+def families_of(objects: Iterable["ObjectModel"]) -> dict[str, str]:
+    """Category of the objects -> the module of its generator, where that is the user's and no entry point names it."""
+    from r2h_batch.scene.families.family import FAMILIES
+    from r2h_batch.scene.objects import category_of
+
+    found = {}
+    for category in {c for o in objects if (c := category_of(o)) is not None}:
+        family = None if category in FAMILIES.declared else FAMILIES.known(category)
+        module = "" if family is None else family.make.__module__
+        found[category] = "" if module.startswith(f"{PACKAGE}.") else module
+    return found
 
 
 def prepare(
@@ -431,6 +449,8 @@ def _method_job(
     else:  # modules, `METHOD_FILES`, and files that its options name
         texts = [v for v in method.options.values() if isinstance(v, str)]
         files = method.found.files() | {v: Path(v) for v in texts if Path(v).is_file()}
+    if package := package_of_method(method.found.spec):
+        source["package"] = package
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
@@ -481,7 +501,8 @@ def _method_job(
         with on_threads(evaluator.threads):
             function = partial(method.found.function, **extra)
             answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))
-        late = user_files(sys.modules.keys() - before)
+        own = module.__name__.partition(".")[0]
+        late = user_files(sys.modules.keys() - before, installed={own})
         for k in late.keys() - files.keys() if not built_in else ():
             words = "a resume does not notice its changes"
             LOG.info(f"{title}: imported {k} when it was called; {words}")

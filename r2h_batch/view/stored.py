@@ -34,7 +34,7 @@ from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import EVERY, IN_ORDER, MOST_SECONDS, NO_LONGER, UNITS
+from r2h_batch.verdicts import ELSEWHERE, EVERY, IN_ORDER, MOST_SECONDS, NO_LONGER, UNITS
 from r2h_batch.view.believed import as_believed
 from r2h_batch.view.legs import with_legs
 from r2h_batch.view.postures import postures_at
@@ -224,9 +224,14 @@ def judged_again(
     return replace(stored, asked=asked, note=note)
 
 
+def _unseen(stored: Mapping[str, Any]) -> tuple[str, ...]:
+    """What a row may also be that failed a criterion whose package is not installed here."""
+    return ("success",) if stored["outcome"] == ELSEWHERE else ()
+
+
 def difference(stored: dict[str, Any], again: dict[str, Any]) -> str:
     """Differences between a stored verdict and the one computed here; empty if they are equal."""
-    if stored["outcome"] != again["outcome"]:
+    if again["outcome"] not in (stored["outcome"], *_unseen(stored)):
         words = f"the outcome is {again['outcome']}, stored is {stored['outcome']}"
         return f"computed again here {words}"
     for entry in (e for e in EVERY if e.margin_column in stored and e.margin_column in again):

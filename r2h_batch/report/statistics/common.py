@@ -11,6 +11,7 @@ from r2h_batch.base.registry import FOREIGN, is_drawn
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.codes import judged_by
+from r2h_batch.runs.plugged import other_criteria
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
@@ -109,6 +110,11 @@ def _lacking(runs: Sequence[Run]) -> list[str]:
                 f"The rows of {run.folder.name} lack {named}: their SR counts trials as successes that were not"
                 " judged by it."
             )
+        if unknown := [words for words in run.lacking if words.startswith("criterion ")]:
+            notes.append(
+                f"The rows of {run.folder.name} were judged by {' and '.join(unknown)} too, not installed here: their"
+                " SR counts what failed it as failed."
+            )
     return notes
 
 
@@ -132,6 +138,8 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         skipped.add("code")
     if robots and follow:
         skipped |= {"robot", "benchmark", "trials"}
+    if criteria := other_criteria(left, right):
+        return criteria[0]
     if left["digests"].get("sees") != right["digests"].get("sees"):
         return f"what their methods see ({seeing(left)}, {seeing(right)})"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]

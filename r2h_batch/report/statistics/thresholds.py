@@ -101,6 +101,11 @@ def rethreshold(
     base = run.header["configuration"].get("thresholds")
     if base is None:
         raise ValueError(f"{run.folder}: run.json names no thresholds; it was not made by a sweep")
+    if unknown := [words for words in run.lacking if words.startswith("criterion ")]:
+        raise ValueError(
+            f"{run.folder}: {unknown[0]} judged these rows and is not installed: a row that passes at other thresholds may"
+            " fail it; install its package"
+        )
     axes = []
     for key, values, high in (
         ("reach_radius_m", reach_radius_m, FARTHEST_M),

@@ -31,13 +31,14 @@ from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, schema_of
 from r2h_batch.runs.methods import Entry
+from r2h_batch.runs.plugged import criteria_since
 from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.trials.predictions import Motions
 from r2h_batch.types import Predictions, Trials
-from r2h_batch.verdicts import NO_LONGER
+from r2h_batch.verdicts import ELSEWHERE, NO_LONGER
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
@@ -214,7 +215,9 @@ def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
 
 def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
     """All that could move a last bit: the digest of the code, versions, the kind of processor."""
-    other = [] if header["digests"].get("code") == provenance.code_digest() else ["code"]
+    criteria = criteria_since(header)
+    same_code = header["digests"].get("code") == provenance.code_digest() and not criteria
+    other = [] if same_code else ["code", *criteria]
     installed = provenance.versions()
     other += [k for k, v in header["versions"].items() if k != "python" and installed.get(k) != v]
     device_name = provenance.device_name(device)
@@ -378,8 +381,9 @@ def _differing_rows(
             same = {k: row.get(k) for k in ("trial_id", "object", "split", "side")}
             none = dict.fromkeys(compared[kind]) | same | {"outcome": "missing"}
             other = again[kind].get(trial_id, none if kind == "trials" else {"trial_id": None})
-            # failed by what nobody judges by any more: it passes all the others
-            passes = row.get("outcome") in NO_LONGER and other.get("outcome") == "success"
+            # failed by what nobody judges by any more, or nobody here: it passes all the others
+            unseen = row.get("outcome") in (*NO_LONGER, ELSEWHERE)
+            passes = unseen and other.get("outcome") == "success"
             for k in row.keys() & other.keys() - silent - ({"outcome"} if passes else set()):
                 if row[k] != other[k] and repr(row[k]) != repr(other[k]):  # a nan is one
                     name = k if kind == "trials" else f"{kind} {k}"
