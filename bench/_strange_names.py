@@ -82,7 +82,6 @@ def as_ids(name: Callable[[Place], str], *commands: Sequence[str]) -> Attack:
 
 ALL_OF_A_RUN: dict[str, Sequence[str]] = {
     "real export": ["real", "export", "run", "--method", "oracle", "--trials", "0-1", "--out", "lab"],
-    "study trials": ["study", "trials", "run", "--out", "trials.csv"],
     "export": ["export", "run", "--to", "r2handoversim", "--method", "oracle", "--trials", "1", "--out", "theirs"],
     "report": ["report", "run", "--format", "html", "--out", "told.html"],
     "view": ["view", "run", "--method", "oracle", "--trial", "0", "--html", "trial.html"],

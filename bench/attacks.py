@@ -69,7 +69,7 @@ from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.robot import read_robot
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.options import load_config
-from r2h_batch.sweep.study.report import read_counts
+from r2h_batch.sweep.study.report import read_ratings
 from r2h_batch.sweep.submission_judge import unpack
 from r2h_batch.trials.predictions import load_answers
 
@@ -306,7 +306,7 @@ grasps:
     position: [0.0, 0.0, 0.1]
     orientation: {w: 1.0, xyz: [0.0, 0.0, 0.0]}
 """
-COUNTS = "method,dimension,n1,n2,n3,n4,n5\na,comfort,1,2,3,4,5\nb,comfort,5,4,3,2,1\n"
+RATINGS = "participant,method,dimension,rating\np,a,comfort,1\np,b,comfort,5\nq,a,comfort,2\nq,b,comfort,4\n"
 YAML_FILE = "protocol: r2h-v1\nobjects:\n- {built_in: cup}\n- {built_in: hammer}\n"
 CONFIG = "method: [random]\ntrials: 3\nbenchmark: r2h-v1\n"
 
@@ -378,7 +378,7 @@ def kinds() -> dict[str, Kind]:
         "hand set": Kind(".npz", copied("hand/handset.npz"), read_hand_set, NPZ),
         "weights": Kind(".safetensors", copied("ranker/ranker.safetensors"), read_weights, WEIGHTS),
         "people": Kind(".csv", _attack_draft.some_people, read_people, CSV),
-        "study table": Kind(".csv", text(COUNTS), read_counts, CSV),
+        "study table": Kind(".csv", text(RATINGS), read_ratings, CSV),
         "rig": Kind(".toml", text(RIG), load_rig, TOML),
         "URDF": Kind(".urdf", text(URDF), read_model, XML),
         "SRDF": Kind(".srdf", text(SRDF), read_srdf, XML),

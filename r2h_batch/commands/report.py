@@ -27,7 +27,6 @@ def report(
     scans: Path | None = None,
     categories: int = FEW,
     gallery: int = 0,
-    perceived: bool = False,
     out: Path | None = None,
     overwrite: bool = False,
     benchmark: BenchmarkChoice = DEFAULT,
@@ -53,8 +52,6 @@ def report(
             the mean of all categories (without families: objects).
         gallery: html: draw this many successes and failures of each kind and method. Each picture leads
             to a page of its trial in three dimensions, in a folder beside --out.
-        perceived: print the run's measures beside people's ratings of the paper's four methods,
-            instead of Table I; md only. It tries 256 receiving grasps for each pose: some 15 ms a trial.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
         benchmark: where its files are now, if they are not where the sweep found them.
@@ -65,17 +62,13 @@ def report(
     if gallery and (format != "html" or out is None):
         words = "--format html and --out FILE.html, for the pages of its trials"
         raise UsageError(f"--gallery needs {words}")
-    if by_people and (by_object or perceived or scans is not None or len(runs) > 1):
-        raise UsageError(
-            "--by-people prints one run; leave --by-object, --perceived and --scans out"
-        )
+    if by_people and (by_object or scans is not None or len(runs) > 1):
+        raise UsageError("--by-people prints one run; leave --by-object and --scans out")
     if by_people and format not in ("md", "csv", "json"):
         raise UsageError(f"--by-people prints md, csv or json; --format is {format}")
-    if perceived and (format != "md" or len(runs) > 1 or by_object):
-        raise UsageError("--perceived prints one run as md; leave --format and --by-object out")
-    if scans is not None and (format == "html" or perceived or by_object):
+    if scans is not None and (format == "html" or by_object):
         raise UsageError(
-            "--scans adds a column to Table I; leave --format html, --perceived and --by-object out"
+            "--scans adds a column to Table I; leave --format html and --by-object out"
         )
     if out is not None:
         check_output_file(out, overwrite=overwrite)
@@ -115,13 +108,6 @@ def report(
         except ValueError as error:
             LOG.info(f"report: not compared with each other: {error}")
         text = page(stored, pictures, common=common, few=categories)
-    elif perceived:
-        from r2h_batch.sweep.results.reception import tables_of_run
-        from r2h_batch.sweep.study.perceived import measured_trials, of_the_paper
-        from r2h_batch.sweep.study.perceived import perceived as beside_people
-
-        rated = of_the_paper(loaded[0])
-        text = beside_people(tables_of_run(rated, benchmark, "cpu", measured_trials))
     elif by_people:
         from r2h_batch.report.people import people_lines
 

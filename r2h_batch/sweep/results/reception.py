@@ -1,6 +1,6 @@
 """Reception of a stored run: can the person take what each method handed over? (`results reception`)"""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -53,20 +53,13 @@ NOTES = (
 )
 
 
-Table = Callable[[Run, str, Judge], pa.Table]
-"""Rows of a method of a run."""
-
-
-def tables_of_run(
-    run: Run, benchmark: BenchmarkChoice, device: str, of: Table | None = None
-) -> dict[str, pa.Table]:
+def tables_of_run(run: Run, benchmark: BenchmarkChoice, device: str) -> dict[str, pa.Table]:
     """Method -> its table, of all methods with rows.
 
     Args:
         run: with poses.
         benchmark: where its files are now, if they are not where the sweep found them.
         device: cpu, cuda or cuda:N.
-        of: makes a table; `table_of` by default.
 
     Raises:
         RunError: the run holds no rows, no poses, or trials without a receiver's body.
@@ -75,7 +68,7 @@ def tables_of_run(
     tables = {}
     for name in names:
         LOG.info(f"{name}: 256 grasps for each trial, some 10 ms a trial")
-        tables[name] = (of or table_of)(run, name, judge)
+        tables[name] = table_of(run, name, judge)
     return tables
 
 

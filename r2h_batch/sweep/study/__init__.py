@@ -1,1 +1,1 @@
-"""Simulation against people: the kit of the user study."""
+"""A run against a real robot, and the tests of the user study."""

@@ -12,27 +12,15 @@ from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.report.text import aligned
 from r2h_batch.sweep.study.table_file import LINE, NAME, number, read_table
 
-SCALE = np.arange(1, 6)
 DRAWS = 10_000
 
 RATING_COLUMNS = {
     **dict.fromkeys(("participant", "method", "dimension"), NAME),
     "rating": number(1, 5, whole=True),
 }
-COUNT_COLUMNS = {
-    **dict.fromkeys(("method", "dimension"), NAME),
-    **{f"n{k}": number(0, 1e6, whole=True) for k in SCALE},
-}
 
 Ratings = tuple[np.ndarray, list[str], int]
 """(participants, methods) ratings of complete participants, the methods, participants left out."""
-
-
-def read_counts(path: Path) -> dict[tuple[str, str], np.ndarray]:
-    """(method, dimension) -> (5,) how often each of 1..5 was given, from columns method,
-    dimension, n1..n5."""
-    rows = read_table(path, COUNT_COLUMNS)
-    return {(r["method"], r["dimension"]): np.array([r[f"n{k}"] for k in SCALE]) for r in rows}
 
 
 def read_ratings(path: Path) -> dict[str, Ratings]:
