@@ -1,6 +1,6 @@
 """Pictures of the built-in methods for docs, drawn by `make tables` (bench/tables.py) from the rows of Table I.
 
-A run's report and gallery, the paper's figures, pages of single trials (Chromium), strips, the scene, and what each method holds.
+A run's report and gallery, pages of single trials (Chromium), strips, the scene, and what each method holds.
 """
 
 import hashlib
@@ -14,6 +14,8 @@ from pathlib import Path
 HOLDING = ("fc", "handover_va", "contact", "intent")
 HELD = [1, 3, 5, 9, 13, 17, 19, 4, 8]
 """Trials whose grasps are drawn."""
+OF_RELEASE = 63
+"""A trial of r2h-release in which all four methods move and their outcomes differ."""
 GREY, BLUE, ORANGE, SKIN = (0.3, 0.3, 0.3, 1), (0.25, 0.45, 0.8, 1), (0.95, 0.55, 0.1, 1), (0.9, 0.72, 0.6, 1)
 GPU_LESS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
 
@@ -53,21 +55,8 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         page = page.replace("<details", "<details open")
         (folder / "gallery.html").write_text(page, encoding="utf-8")
         screenshot(folder / "gallery.html", out / "gallery.png", 940, 790)
-        command("figures", run, "--method", "fc", "random", "handover-va", "--out", folder / "figures")
-        for name in ("protocol", "failures"):
-            shutil.copy(folder / "figures" / f"{name}.png", out / f"figure_{name}.png")
-        words = (
-            "--method",
-            "handover-va",
-            "fc",
-            "contact",
-            "intent",
-            "--out",
-            folder / "theirs",
-        )
-        command("figures", release, *words)
-        for name in ("protocol", "methods"):
-            shutil.copy(folder / "theirs" / f"{name}.png", out / f"release_{name}.png")
+        strips = ("--strips", out / "release_strips.png", "--overwrite")
+        command("view", release, "--method", "handover-va", "fc", "contact", "intent", "--trial", OF_RELEASE, *strips)
         overview(release, "handover-va", out / "release_scene.png")
         moved, stopped = trials_of(run)
         for name, methods, trial in (
@@ -81,11 +70,9 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         command("scene", run, "--method", "fc", "--trial", moved, *scene)
     grasps(out / "baselines_grasps.png")
     drawn = [
-        out / f"{name}.png"
-        for name in ("report", "gallery", "figure_protocol", "figure_failures", "strips_5", "scene", "release_scene")
+        out / f"{name}.png" for name in ("report", "gallery", "strips_5", "scene", "release_scene", "release_strips")
     ]
     drawn += [
-        *(out / f"release_{name}.png" for name in ("protocol", "methods")),
         out / "baselines_grasps.png",
         *(out / "pictures" / f"view_{n}.png" for n in ("success", "failed_plan", "two")),
     ]

@@ -78,10 +78,6 @@ COMMANDS = {
         "commands.report:report",
         "Print the table of a run folder, or write its page.",
     ),
-    "figures": (
-        "commands.figures:figures",
-        "Draw the paper's figures of a run: protocol, methods over time, failures.",
-    ),
     "study": (
         "sweep.study.command:COMMANDS",
         "Compare a real robot with a run, and test people's ratings.",

@@ -25,7 +25,6 @@ WRITERS = {
     "scene": ["scene", "RUN", "--trial", "0", "--out"],
     "a scene's picture": ["scene", "RUN", "--trial", "0", "--out", "NEW", "--render"],
     "trials": ["trials", "--trials", "1", "--out"],
-    "figures": ["figures", "RUN", "--out"],
     "a hand": ["import", "hand", "--mano-right", "NEW", "--out"],
     "grasps": ["import", "grasps", "NEW", "--from", "own", "--out"],
     "objects": ["import", "objects", "NEW", "--from", "oakink", "--out"],
@@ -41,10 +40,6 @@ def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_
     """Before any work: the inputs of some are missing, and that is not what is said."""
     mine = tmp_path / f"mine{ENDING.get(who, '.txt')}"
     mine.write_text("precious")
-    if who == "figures":
-        mine = tmp_path / "folder"
-        mine.mkdir()
-        (mine / "methods.png").write_text("precious")
     names = {"RUN": run, "NEW": tmp_path / "new"}
     line = [str(names.get(word, word)) for word in WRITERS[who]]
     assert main([*line, str(mine)]) == 2
@@ -53,8 +48,7 @@ def test_no_command_writes_over_what_is_there_unless_that_is_said(who, run, tmp_
     assert re.search(
         r"is there already; give another name, or add --overwrite|is not a folder; give a new or empty", error
     )
-    kept = mine / "methods.png" if who == "figures" else mine
-    assert kept.read_text() == "precious"
+    assert mine.read_text() == "precious"
     long = tmp_path / f"{'a' * 300}{ENDING.get(who, '.txt')}"
     assert main([*line, str(long)]) == 2  # not 1: no disk will ever have it
     error = capsys.readouterr().err
@@ -65,8 +59,8 @@ def test_ctrl_c_is_one_line_and_130(capsys):
     def work():
         raise KeyboardInterrupt
 
-    assert exit_code_of("figures", work) == 130
-    assert capsys.readouterr().err == "figures: interrupted\n"
+    assert exit_code_of("view", work) == 130
+    assert capsys.readouterr().err == "view: interrupted\n"
 
 
 def test_numbers_that_float32_does_not_hold_are_no_pose_and_no_threshold(run, tmp_path, capsys):

@@ -43,8 +43,6 @@ REFUSED = (
     ("real export RUN --trials 3,99999 --out OUT/x", "the run has no trial 99999"),
     ("export RUN --to r2handoversim --method randm --out OUT/x", NO_METHOD),
     ("export RUN --to r2handoversim --out OUT/x", SEVERAL),
-    ("figures RUN --method randm --out OUT/x", NO_METHOD),
-    ("figures RUN --trial 99999 --out OUT/x", NO_TRIAL),
     *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "viewed", "reception")),
     ("turn RUN --method randm", NO_METHOD),
 )

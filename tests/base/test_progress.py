@@ -53,9 +53,9 @@ def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
             time.sleep(0.01)
         return int(lines_said() < before + lines)
 
-    assert exit_code_of("figures", lambda: waits(2)) == 0
+    assert exit_code_of("report", lambda: waits(2)) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert len(lines) >= 2 and {*lines} == {"figures: working, 0 s"}
+    assert len(lines) >= 2 and {*lines} == {"report: working, 0 s"}
 
     def speaks():
         code = waits(1)
@@ -63,13 +63,13 @@ def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
         time.sleep(0.3)
         return code
 
-    assert exit_code_of("figures", speaks) == 0
+    assert exit_code_of("report", speaks) == 0
     lines = capsys.readouterr().err.splitlines()
-    assert lines[0] == "figures: working, 0 s" and {*lines} == {"figures: working, 0 s", "two pictures"}
-    assert exit_code_of("figures", lambda: 0) == 0  # short: nothing, and no thread is left
+    assert lines[0] == "report: working, 0 s" and {*lines} == {"report: working, 0 s", "two pictures"}
+    assert exit_code_of("report", lambda: 0) == 0  # short: nothing, and no thread is left
     assert capsys.readouterr().err == "" and not [t for t in threading.enumerate() if "not silent" in t.name]
     with telling(quiet=True):
-        assert exit_code_of("figures", lambda: time.sleep(0.3) or 0) == 0
+        assert exit_code_of("report", lambda: time.sleep(0.3) or 0) == 0
     assert capsys.readouterr().err == ""
 
 

@@ -41,7 +41,6 @@ FEW = {
     "leaderboard": "--rows 2",
     "results reevaluate": "--rows 2",
     "view": "--port 0",
-    "figures": "--method oracle",
 }
 """Flags that make a command small."""
 SERVED_S = 8.0

@@ -1,2 +1,1 @@
-"""Pictures of a run: the report's gallery, and the paper's figures. `r2h-batch report --gallery`,
-`r2h-batch figures`."""
+"""Pictures of a run: the report's gallery. `r2h-batch report --gallery`."""

@@ -91,7 +91,5 @@ def test_what_a_gallery_needs_is_said_in_one_line(run, tmp_path, capsys):
     ):
         assert main(["report", str(run.folder), *line]) == 2
         assert words in capsys.readouterr().err
-    assert main(["figures", str(run.folder), "--out", str(tmp_path)]) == 2
-    assert "not made by a sweep" in capsys.readouterr().err
     assert main(["report", str(run.folder), "--format", "csv", "--out", str(tmp_path / "t.csv")]) == 0
     assert (tmp_path / "t.csv").read_text().startswith("split,method,n,")
