@@ -18,9 +18,8 @@ import tempfile
 import time
 import zipfile
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import redirect_stdout
 from dataclasses import asdict, replace
-from io import BytesIO, StringIO
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -92,9 +91,9 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         print(", ".join(parts), "measured", flush=True)
 
     keep(**of_rows(v2))
-    keep(turned={"r2h-v2": turned(v2, min(trials, SOME))})
+    keep(turned={"r2h-v2": turned(v2, min(trials, SOME), V2)})
     v1 = swept(place / "v1", "--method", *METHODS, "--trials", min(trials, SOME), *V1)
-    keep(turned=found["turned"] | {"r2h-v1": turned(v1, min(trials, SOME))})
+    keep(turned=found["turned"] | {"r2h-v1": turned(v1, min(trials, SOME), V1)})
     keep(exact=exact_maps(place, v2, trials))
     keep(orders={"r2h-v2": order(v2)})
     for name, flags in OTHERS.items():
@@ -160,15 +159,16 @@ def compared(run: "Run", methods: Sequence[str] = METHODS) -> list[dict[str, Any
     return [{**asdict(c), "rank": None if c.rank is None else c.rank.tolist()} for c in found]
 
 
-def turned(folder: Path, trials: int, methods: Sequence[str] = METHODS) -> list[dict[str, Any]]:
-    """The turn test of methods, made or gone on with."""
-    from r2h_batch.__main__ import main
+def turned(folder: Path, trials: int, protocol: Sequence[str]) -> list[dict[str, Any]]:
+    """The turn test of the methods: sweeps with turned objects beside the run, made or gone on with."""
+    from r2h_batch.base.registry import TURNS
+    from r2h_batch.report.turn import about, folder_of
+    from r2h_batch.report.turn import turned as tests_of
+    from r2h_batch.runs.store import load_run
 
-    text = StringIO()
-    words = ["turn", str(folder), "--method", *methods, "--by", ANY_TURN, "--trials", str(trials), "--format", "json"]
-    with redirect_stdout(text):
-        code = main(words)
-    return sys.exit(code) if code else json.loads(text.getvalue())
+    for turn in (*TURNS, ANY_TURN):
+        swept(folder_of(folder, turn), "--method", *METHODS, "--trials", trials, *protocol, "--turn", turn)
+    return about(tests_of(load_run(folder, verify=False).only(METHODS)))
 
 
 def by_category(folder: Path, method: str) -> dict[str, float]:
@@ -751,7 +751,7 @@ def markdown(data: Mapping[str, Any]) -> str:
         " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
         " trials; Holm over the methods). Handover-VA grasps from above along the frame's z, as published, and aligns its"
         " template from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and"
-        f" its box onto themselves. A turn by other angles (`r2h-batch turn RUN --by {ANY_TURN}`, degrees about x, y and z) maps"
+        f" its box onto themselves. A turn by other angles (`--turn {ANY_TURN}`, degrees about x, y and z) maps"
         " neither."
         " FC, Contact and Intent place the centre"
         " of the object above the palm. Of r2h-v2's objects it is the centre of the smallest ball around them,"

@@ -82,10 +82,6 @@ COMMANDS = {
         "sweep.study.command:COMMANDS",
         "Compare a real robot with a run, and test people's ratings.",
     ),
-    "turn": (
-        "sweep.turn:turn",
-        "Score a run's trials with turned objects: does a method depend on how a mesh lies?",
-    ),
     "compare": (
         "report.compare.command:compare",
         "Compare methods on the trials that they share.",

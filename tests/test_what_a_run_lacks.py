@@ -44,7 +44,6 @@ REFUSED = (
     ("export RUN --to r2handoversim --method randm --out OUT/x", NO_METHOD),
     ("export RUN --to r2handoversim --out OUT/x", SEVERAL),
     *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "viewed", "reception")),
-    ("turn RUN --method randm", NO_METHOD),
 )
 
 

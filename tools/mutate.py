@@ -107,8 +107,6 @@ T_BASELINES = (
     "::test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset"
 )
 GRASP_PHYSICS, T_PADS = "r2h_batch/judge/grasp_physics.py", "tests/judge/test_grasp_physics.py"
-TURN = "r2h_batch/sweep/turn.py"
-T_TURN_SEED = "tests/sweep/test_turn.py::test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too"
 CAPACITY, T_CAPACITY = "r2h_batch/trials/holding/capacity.py", "tests/trials/holding/test_capacity.py"
 T_LEAST_GRIP = (
     f"{T_CAPACITY}"
@@ -1541,34 +1539,6 @@ MUTATIONS = (
         'near.body >= len(names) - 1 - gripper',
         'near.body > len(names) - 1 - gripper',
         (f"{T_ENV}::test_a_hand_that_takes_may_come_to_every_body_of_the_gripper_and_to_none_of_the_arm",),
-    ),
-    Mutation(
-        "turn: a user's method is asked with seed 0",
-        TURN,
-        'seed=header["seed"], noise_factor',
-        'seed=0, noise_factor',
-        (T_TURN_SEED,),
-    ),
-    Mutation(
-        'turn: all trials whatever is asked',
-        TURN,
-        'min(n, trials or n)',
-        'n',
-        (T_TURN_SEED,),
-    ),
-    Mutation(
-        'turn: a method that changed is turned',
-        TURN,
-        'k != "predictors" and job.source.get(k) != v',
-        'k == "nothing"',
-        ("tests/sweep/test_turn.py::test_nothing_that_a_folder_names_is_run_and_a_changed_method_is_refused",),
-    ),
-    Mutation(
-        'turn: nothing is turned',
-        TURN,
-        'prepare(in_frame(own, word), plan',
-        'prepare(own, plan',
-        ("tests/sweep/test_turn.py::test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays",),
     ),
     Mutation(
         'capacity: kept without the hand',

@@ -7,6 +7,12 @@ _NOBODY = "nobody simulates how the object is taken; `results reception RUN` say
 _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
+    "figures": "use view RUN --strips FILE with --trial ID, or with --one-of-each",
+    "report --perceived": "use study ratings FILE.csv, for ratings of your own",
+    "study comfort": "use study ratings FILE.csv",
+    "study rated": "use study ratings FILE.csv; r2h-batch trials writes poses, results reception what the person could take",
+    "study trials": "use r2h-batch trials for poses, results reception for what the person could take",
+    "turn": "sweep with --turn into RUN-turned/half and RUN-turned/cycled, then compare RUN (docs/statistics.md#turn-test)",
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
     "results held": "--set stability=physics of a sweep shakes each grasp in physics",
     "import region": "say the receiver's region as parts, a plane or a file of faces: FILE.obj:S1:REGION (docs/your_data.md)",

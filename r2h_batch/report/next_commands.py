@@ -6,11 +6,9 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.registry import TURNS
 from r2h_batch.report.compare.command import BASELINES
-from r2h_batch.report.compare.stored import baselines_for, is_stored, stored_rows
+from r2h_batch.report.compare.stored import baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
-from r2h_batch.report.turn import folder_of
 from r2h_batch.runs.store import Run, load_run
 
 
@@ -32,8 +30,6 @@ def next_commands(runs: Sequence[Run], printed: Literal["brief", "table"] = "tab
         lines.append(
             ("results reevaluate", " --rows 200", "whether the rows are what the evaluator says")
         )
-    if len(runs) == 1 and _turnable(runs[0]):
-        lines.append(("turn", "", "whether a method depends on how a mesh lies in its file"))
     text = (f"    r2h-batch {c} {folders}{more}  # {what}" for c, more, what in lines)
     return "Next:\n\n" + "\n".join(text) + "\n"
 
@@ -42,17 +38,6 @@ def _short(folder: Path) -> str:
     """The folder from here, if it lies below the working directory."""
     here, place = Path.cwd(), folder.absolute()
     return str(place.relative_to(here) if place.is_relative_to(here) and place != here else folder)
-
-
-def _turnable(run: Run) -> bool:
-    """Whether `turn` takes the folder: nobody made its turn test, and a built-in method answered in it."""
-    if is_stored(run):
-        return False
-    flags = (run.header.get("benchmark") or {}).get("flags", ())
-    if any(f.startswith("--turn") for f in flags) or folder_of(run.folder, TURNS[-1]).exists():
-        return False
-    built_in = (e.source.get("function", "") for e in run.entries if e.complete)
-    return any(function.startswith("r2h_batch.methods.") for function in built_in)
 
 
 def _compared(runs: Sequence[Run]) -> str | None:

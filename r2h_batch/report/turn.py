@@ -12,16 +12,7 @@ import numpy as np
 from r2h_batch.base.registry import TURNS
 from r2h_batch.report.statistics.cochran import stratified_cochran
 from r2h_batch.report.statistics.paired import ALPHA, Pair, Paired, compare, holm
-from r2h_batch.report.text import (
-    NA,
-    aligned,
-    csv_text,
-    json_text,
-    legend,
-    notes_list,
-    plain,
-    short_names,
-)
+from r2h_batch.report.text import NA
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.verdicts import SPLITS, Outcome
@@ -29,21 +20,11 @@ from r2h_batch.verdicts import SPLITS, Outcome
 BESIDE = "-turned"
 """A folder of the run's name with this end, beside the run, holds the runs with turned objects, each called
 after its turn."""
-FORMATS = ("md", "csv", "json")
 MARK = "^"
 """Stands in every table of the run behind a method whose successes depend on the frame, by a test."""
 
 AS_IT_LIES = "as it lies"
 WORDS = {"half": "half turn", "cycled": "cycled axes"}
-
-NOTES = (
-    "half turn: 180 degrees about z. cycled axes: x to y, y to z, z to x. Objects, grasps, hands and trials are the same; only"
-    " the frame differs in which a method sees an object.",
-    "moves: SR with turned objects less SR as they lie, in points, paired on the trial id, with the 95 % t interval over"
-    " objects (families: over categories). p: McNemar's exact test of that move, Holm over the turns.",
-    f"{MARK}: success depends on the frame: Cochran's Q over all frames, by object (families: by category) and of all trials,"
-    f" corrected for both and over the methods (Holm), below {ALPHA} (p frames). By object, opposite moves do not cancel.",
-)
 
 
 @dataclass(frozen=True)
@@ -116,7 +97,7 @@ class Turned:
 
 
 def turned(run: Run) -> tuple[Turned, ...]:
-    """The turn tests of a run's methods, as far as `r2h-batch turn` made them.
+    """The turn tests of a run's methods: of those that every sweep with `--turn` beside the run holds too.
 
     Args:
         run: what `load_run` or `join` gives.
@@ -215,53 +196,6 @@ def _solved(run: Run, method: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     split = np.array([SPLITS.index(s) for s in table["split"].to_pylist()], np.int64)
     success = np.array(table["outcome"].to_pylist()) == Outcome.SUCCESS.name.lower()
     return table["trial_id"].to_numpy(), split, np.array(table["object"].to_pylist()), success
-
-
-def render(tests: Sequence[Turned], fmt: str = "md") -> str:
-    """The turn tests as text that ends in a newline.
-
-    Args:
-        tests: what `turned` gives.
-        fmt: one of `FORMATS`.
-    """
-    if fmt == "json":
-        return json_text(about(tests))
-    if fmt == "csv":
-        return csv_text(
-            [
-                {
-                    **{"group": t.group, "method": t.method, "n": t.n, "sr": t.rate},
-                    **{"p_frames_holm": t.p_frames_holm, **asdict(move)},
-                }
-                for t in tests
-                for move in t.moves
-            ]
-        )
-    short = short_names([t.method for t in tests])
-    turns = tuple(dict.fromkeys(move.turn for t in tests for move in t.moves))
-    head = ["Split", "Method", "N", "SR", "p frames"]
-    head += [cell for turn in turns for cell in (words_for(turn), "moves", "95 %", "p")]
-    lines = []
-    for t in tests:
-        cells = [
-            t.group,
-            f"{plain(short[t.method])}{f' {MARK}' * t.marked}",
-            str(t.n),
-            f"{t.rate:.1f}",
-            f"{t.p_frames_holm:.2g}",
-        ]
-        moves = {move.turn: move for move in t.moves}
-        for turn in turns:
-            cells += _cells(t.rate, moves[turn]) if turn in moves else [NA] * 4
-        lines.append(cells)
-    return (
-        "\n\n".join([aligned(head, lines, 2), notes_list([*map(plain, legend(short)), *NOTES])])
-        + "\n"
-    )
-
-
-def _cells(rate: float, move: Move) -> list[str]:
-    return [f"{rate + move.points:.1f}", f"{move.points:+.1f}", move.ends, f"{move.p_holm:.2g}"]
 
 
 def words_for(turn: str) -> str:

@@ -158,7 +158,7 @@ class Flags:
         str,
         Flag(
             "turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x) or degrees about x, y, z "
-            "(20,40,60); r2h-batch turn compares them",
+            "(20,40,60); for the turn test (docs/statistics.md)",
             "trials",
         ),
     ] = ""

@@ -38,30 +38,36 @@ def command(*words):
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
+    """A run, and its turn test: the same sweep with each turn, into a folder beside it."""
     folder = tmp_path_factory.mktemp("turn")
     (folder / "own.py").write_text(BY_X)
     methods = ["intent", f"mine={folder / 'own.py'}:by_x"]
     assert command("sweep", "--method", *methods, *FEW, "--out", folder / "run") == 0
+    for turn in TURNED:
+        own = [f"--turn={turn}", "--out", folder / "run-turned" / turn]
+        assert command("sweep", "--method", *methods, *FEW, *own) == 0
     return folder
 
 
 def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(run, capsys):
     capsys.readouterr()
-    words = ["intent", f"mine={run / 'own.py'}:by_x"]
-    assert command("turn", run / "run", "--method", *words, "--format", "json") == 0
-    found = {(t["method"].partition(" ")[0], t["group"]): t for t in json.loads(capsys.readouterr().out)}
+    assert command("compare", run / "run", "--format", "json") == 0
+    (compared,) = json.loads(capsys.readouterr().out)
+    found = {t["method"].partition(" ")[0]: t for t in compared["turns"]}
+    assert {name: t["marked"] for name, t in found.items()} == {"Intent-Handover": False, "mine": True}
+    moves = {name: {m["turn"]: m["points"] for m in t["moves"]} for name, t in found.items()}
     names = load_run(run / "run").trials("mine")["object"].to_pylist()
     ahead = {o.name: o.com[0] > 0 for o in load_benchmark().objects}
-    assert {m["turn"] for m in found["mine", "S1"]["moves"]} == set(FRAMES) and any(ahead[n] for n in names)
-    assert max(abs(m["points"]) for m in found["mine", "S1"]["moves"]) >= 20
-    assert all(m["points"] == 0 for m in found["Intent-Handover", "S1"]["moves"])
+    assert set(moves["mine"]) == set(TURNED) and any(ahead[n] for n in names)
+    assert max(abs(points) for points in moves["mine"].values()) >= 20
+    assert all(moves["Intent-Handover"][turn] == 0 for turn in FRAMES)
     assert command("report", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "mine ^" in said and "Intent-Handover ^" not in said and "^ mine, S1: success" in said
     assert command("report", run / "run", "--format", "json") == 0
     table = json.loads(capsys.readouterr().out)
     rows = {row["method"].partition(" ")[0]: row for row in table["rows"]}
-    most = max((m["points"] for m in found["mine", "S1"]["moves"]), key=abs)
+    most = max(moves["mine"].values(), key=abs)
     assert rows["mine"]["turn"] == most and rows["mine"]["turn_marked"] is True
     assert abs(rows["Intent-Handover"]["turn"]) < 10 and rows["Intent-Handover"]["turn_marked"] is False
     assert command("report", run / "run", "--format", "html", "--out", run / "page.html") == 0
@@ -73,14 +79,6 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("compare", run / "run") == 0
     said = " ".join(capsys.readouterr().out.split())
     assert "^ mine, S1: success" in said and "| mine ^" in said and "Intent-Handover ^" not in said
-    assert command("compare", run / "run", "--format", "json") == 0
-    (compared,) = json.loads(capsys.readouterr().out)
-    assert {t["method"].partition(" ")[0]: t["marked"] for t in compared["turns"]} == {
-        "Intent-Handover": False,
-        "mine": True,
-    }
-    # r2h-v1 keeps the centre of a box along the frame's axes, so a turn by any angles moves Intent-Handover too
-    assert command("turn", run / "run", "--method", *words, "--by", "20, 40,-60") == 0
     for turn in TURNED:
         table = load_run(run / "run-turned" / turn).trials("mine")
         com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_benchmark().objects}
@@ -91,40 +89,16 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     capsys.readouterr()
 
 
-def test_nothing_that_a_folder_names_is_run_and_a_changed_method_is_refused(run, capsys):
-    assert command("turn", run / "run") == 0
-    assert "mine: not turned: only built-in methods" in " ".join(capsys.readouterr().err.split())
-    (run / "own.py").write_text(BY_X + "\n# changed\n")
-    assert command("turn", run / "run", "--method", f"mine={run / 'own.py'}:by_x") == 2
-    assert "changed since the run" in capsys.readouterr().err
-    (run / "own.py").write_text(BY_X)
-
-
-NOTES_SEED = """
-from pathlib import Path
-from r2h_batch.methods.random import predict
-
-
-def noting(trials, scene, *, seed):
-    with Path(__file__).with_name("seeds.txt").open("a") as file:
-        print(seed, file=file)
-    return predict(trials, scene, seed=seed)
-"""
-
-
-def test_a_users_method_is_asked_with_the_runs_seed_in_turned_runs_too(tmp_path, capsys):
-    (tmp_path / "own.py").write_text(NOTES_SEED)
-    word, few = f"mine={tmp_path / 'own.py'}:noting", ("--trials", 2, "--splits", "S1", "--sim", "none", "--quiet")
-    assert command("sweep", "--method", word, *few, "--seed", 3, "--out", tmp_path / "run") == 0
-    swept = (tmp_path / "seeds.txt").read_text().split()
-    assert command("turn", tmp_path / "run", "--method", word) == 0
-    capsys.readouterr()
-    turned = (tmp_path / "seeds.txt").read_text().split()[len(swept) :]
-    assert set(swept) == {"3"} == set(turned) and len(turned) >= len(FRAMES)
-    shutil.rmtree(tmp_path / "run-turned")
-    assert command("turn", tmp_path / "run", "--method", word, "--trials", 1) == 0
+def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys, tmp_path):
+    shutil.copytree(run / "run", tmp_path / "run")
+    few = ["--trials", "12", "--splits", "S1", "--sim", "none", "--quiet"]
     for turn in FRAMES:
-        assert load_run(tmp_path / "run-turned" / turn).trials("mine")["trial_id"].to_pylist() == [1]  # S1's first
+        out = tmp_path / "run-turned" / turn
+        assert command("sweep", "--method", "intent", *few, "--turn", turn, "--out", out) == 0
+    capsys.readouterr()
+    assert command("compare", tmp_path / "run", "--format", "json") == 0
+    (compared,) = json.loads(capsys.readouterr().out)
+    assert [(t["method"].partition(" ")[0], t["n"]) for t in compared["turns"]] == [("Intent-Handover", 12)]
 
 
 def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
@@ -147,10 +121,10 @@ def test_turned_objects_have_the_same_trials(protocol):
 
 
 @pytest.mark.parametrize("word", ["halff", "1,2", "1,2,nan", "1,2,400", "a,b,c", "\u0661,2,3", "1_0,2,3"])
-def test_an_invalid_turn_is_refused_before_anything_is_scored(run, capsys, word):
-    assert command("turn", run / "run", "--by", word) == 2
+def test_an_invalid_turn_is_refused_before_anything_is_scored(tmp_path, capsys, word):
+    assert command("sweep", "--method", "random", *FEW, "--turn", word, "--out", tmp_path / "run") == 2
     assert "give half, cycled, or degrees about x, y and z" in capsys.readouterr().err
-    assert not (run / "run-turned" / word).exists()
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("word", ["0,0,0", "360,0,-360", "180,180,180"])
