@@ -1,14 +1,15 @@
 """How methods bear errors of execution: docs/results/robustness.{md,png}.
 
 `python bench/robustness.py --out FOLDER` sweeps all methods on the default benchmark, the motion as planned, without errors and
-with four (`--set robustness=true`; the same FOLDER goes on). `--render` writes the page again from the JSON.
+with four (the same FOLDER goes on). `--render` writes the page again from the JSON.
 """
 
 import argparse
-import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from _curves import LEVELS, figure, render, robustness
 from _report import ROOT, made_by, markdown_table, page_from, swept
 from _rows import keep, rate_of
 
@@ -23,7 +24,7 @@ MEASURES = (
     "r2h_batch/evaluate.py",
     "r2h_batch/prepared.py",
     "r2h_batch/methods",
-    "r2h_batch/report/robustness.py",
+    "bench/_curves.py",
 )
 ROWS = "bench/options/robustness"
 """Its rows, a folder a level."""
@@ -32,7 +33,14 @@ HEAD = """# Robustness: errors of execution
 
 Compare methods under [errors of execution](../choices.md#errors-estimates-candidates). `python bench/robustness.py`
 measured {trials} trials of each split of {benchmark}, `--sim none` (bench/results/robustness.json; commit {commit}). For
-your method run `r2h-batch sweep --method mine.py:predict --set robustness=true --out runs/robust`.
+your method:
+
+```
+for error in 0mm,0deg 3mm,0.5deg 5mm,1deg 10mm,2deg 20mm,3deg; do
+  r2h-batch sweep --method mine.py:predict --execution-error $error --out runs/robust/$error
+  r2h-batch report runs/robust/$error --format csv
+done
+```
 
 ![SR over the execution error](robustness.png)
 
@@ -49,22 +57,12 @@ categories.
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """The sweeps."""
     from r2h_batch import load_benchmark
-    from r2h_batch.report.robustness import LEVELS, figure, render, robustness
     from r2h_batch.report.table import record, table_of
     from r2h_batch.runs.store import load_run
 
     out, trials = options.out, options.trials
-    swept(
-        out,
-        "--method",
-        *METHODS,
-        "--trials",
-        trials,
-        "--sim",
-        "none",
-        "--set",
-        "robustness=true",
-    )
+    for level in LEVELS:
+        swept(out / level, "--method", *METHODS, "--trials", trials, "--sim", "none", "--execution-error", level)
     runs = [load_run(out / level) for level in LEVELS]
     found = robustness(runs)
     rates: dict[str, list[str]] = {}
@@ -79,7 +77,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "trials": trials,
         "benchmark": load_benchmark().name,
         "rates": rates,
-        "curves": json.loads(render(found, "json"))["curves"],
+        "curves": asdict(found)["curves"],
         "tables": render(found),
         **made_by(MEASURES),
     }
@@ -87,8 +85,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
 
 def markdown(data: dict[str, Any]) -> str:
     """The page."""
-    from r2h_batch.report.robustness import LEVELS
-
     levels = [level.replace("mm,", " mm, ").replace("deg", " deg") for level in LEVELS]
     curves = {c["method"].partition(" (")[0]: c for c in data["curves"]}
     rates = [

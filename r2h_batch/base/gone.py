@@ -12,6 +12,7 @@ GONE = {
     "study comfort": "use study ratings FILE.csv",
     "study rated": "use study ratings FILE.csv; r2h-batch trials writes poses, results reception what the person could take",
     "study trials": "use r2h-batch trials for poses, results reception for what the person could take",
+    "sweep --robustness": "sweep once with each --execution-error (docs/results/robustness.md)",
     "turn": "sweep with --turn into RUN-turned/half and RUN-turned/cycled, then compare RUN (docs/statistics.md#turn-test)",
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
     "results held": "--set stability=physics of a sweep shakes each grasp in physics",

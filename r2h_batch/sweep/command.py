@@ -86,41 +86,7 @@ def run(
     out = os.path.abspath(options.out or time.strftime("runs/%Y%m%d-%H%M%S"))
     options = replace(options, out=out)
     with telling(quiet=options.quiet, verbose=options.verbose) as log_to:
-        return (_robustness if options.robustness else _run)(options, stopping, log_to, command)
-
-
-def _robustness(
-    options: Options,
-    stopping: Callable[[], bool],
-    log_to: Callable[[Path], None],
-    command: list[str],
-) -> int:
-    """A sweep into a folder of `out` for each level, then the curves."""
-    from importlib.util import find_spec
-
-    from r2h_batch.report import robustness as report
-    from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.settings import error_settings
-
-    out = Path(options.out)
-    folders = [out / level for level in report.LEVELS]
-    for level, folder in zip(report.LEVELS, folders, strict=True):
-        LOG.info(f"execution error {level}")
-        settings = {**options.settings, **error_settings(level)}
-        own = replace(options, robustness=False, settings=settings, out=str(folder))
-        with redirect_stdout(sys.stderr):  # the table of a level is no result of this command
-            if code := _run(own, stopping, log_to, command):
-                return code
-    runs = [load_run(folder) for folder in folders]
-    if any(run.unfinished for run in runs):  # other parts are still at work
-        return 0
-    found = report.robustness(runs)
-    (out / "robustness.md").write_text(report.render(found))
-    if find_spec("matplotlib"):
-        report.figure(found).savefig(out / "robustness.png", dpi=150)
-    sys.stdout.write(report.render(found, options.format))
-    LOG.info(f"curves: {out}/robustness.md")
-    return 0
+        return _run(options, stopping, log_to, command)
 
 
 def _run(

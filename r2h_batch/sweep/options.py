@@ -224,14 +224,6 @@ class Flags:
     predicted_contacts: Annotated[
         str, Flag("contact probabilities of your own network; contact sees them", "methods")
     ] = ""
-    robustness: Annotated[
-        bool,
-        Flag(
-            "sweep without and with each of four execution errors, into folders of --out, and print how SR "
-            "falls",
-            "output",
-        ),
-    ] = False
     receiver_motion: Annotated[
         str,
         Flag(
@@ -401,13 +393,8 @@ def _columns(rows: Sequence[tuple[str, str]]) -> list[str]:
 EXCLUDED = (
     ("save_paths", ("no_poses",), "stores all that a trial can be opened by"),
     (
-        "robustness",
-        ("execution_error", "motions", "trials_from"),
-        "sweeps its own execution errors",
-    ),
-    (
         "receiver_motion",
-        ("motions", "trials_from", "execution_error", "object_errors", "robustness"),
+        ("motions", "trials_from", "execution_error", "object_errors"),
         "plays handovers from poses without errors",
     ),
     (
@@ -467,8 +454,6 @@ def check(options: Options) -> Options:
         for other in others if getattr(options, name) else ():
             if getattr(options, other):
                 raise UsageError(f"{_flag(name)} {why}; leave {_flag(other)} out")
-    if options.robustness and options.format == "latex":
-        raise UsageError("--robustness writes --format md, csv or json, not latex")
     if options.policy != Options.policy and not options.receiver_motion:
         words = "add --receiver-motion, such as moves or still"
         raise UsageError(f"--policy moves the arm in closed loop; {words}")
@@ -588,6 +573,8 @@ def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
     allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, *IN_ONE_WORD]
     for name in names:
         if name not in allowed:
+            if told := gone(f"sweep --{str(name).replace('_', '-')}"):
+                raise UsageError(f"{where}: {told}")
             if how := elsewhere(str(name)):
                 raise UsageError(f"{where}: {name} is no {kind} of its own; {how}")
             if told := gone(f"sweep {flag_of(str(name))}"):

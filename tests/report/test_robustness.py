@@ -1,6 +1,8 @@
 """Curves over the execution error, of runs made by hand."""
 
+import sys
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,10 +10,13 @@ from made_runs import write_run
 from scipy import stats
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.report.robustness import robustness
 from r2h_batch.report.statistics.intervals import BORROWED
 from r2h_batch.sweep.settings import configured, error_settings
 from r2h_batch.types import Outcome
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
+
+from _curves import figure, render, robustness
 
 LEVELS, MM = ("0mm,0deg", "5mm,1deg", "20mm,3deg"), np.array([0.0, 5.0, 20.0])
 STABILITY, SUCCESS = int(Outcome.STABILITY), int(Outcome.SUCCESS)
@@ -59,3 +64,12 @@ def test_intervals_are_t_intervals_over_objects_of_the_same_trials(runs, solved)
     varied = [(2 * o.var(ddof=1) + BORROWED * t.var()) / (2 + BORROWED) for o, t in zip(lost, each, strict=True)]
     error = np.sqrt(sum(varied) / 3) / 2
     assert robustness(runs).curves[0].lost[2].half == pytest.approx(100 * stats.t.ppf(0.975, 2) * error)
+
+
+def test_the_page_has_each_method_at_each_level_and_every_pair(runs):
+    found = robustness(runs)
+    text = render(found)
+    heads = ("SR", "Points of SR lost", "First failures", "Pairs: A-B")
+    assert all(f"\n\n{head}\n\n" in f"\n\n{text}" for head in heads) and "20 mm, 3 deg" in text
+    (axes,) = figure(found).axes
+    assert [label.get_text() for label in axes.get_xticklabels()] == ["0\n0", "5\n1", "20\n3"]

@@ -62,6 +62,7 @@ def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
         ("chunk=many", "'many' is not a whole number"),
         ("chunk", "it must be NAME=VALUE"),
         ("verbose=yes", "--set verbose is 'yes'; allowed are true, false"),
+        ("robustness=true", "--set: sweep --robustness: r2h_batch 0.3 had it, this version has not; sweep once"),
     ):
         with pytest.raises(UsageError, match=re.escape(part)):
             parse(["--benchmark", "r2h-v1", "--method", "random", "--set", line])
@@ -224,6 +225,7 @@ def test_a_setting_that_cannot_be_is_one_line(words, part):
         ("execute: {scale: fast}", "--execute.scale is 'fast'; it must be a number"),
         ("estimate: {seed: 3}", "say --seed"),
         ("plan: exact", "unknown field 'plan'"),
+        ("robustness: true", "sweep --robustness: r2h_batch 0.3 had it, this version has not; sweep once"),
     ],
 )
 def test_a_setting_of_a_file_that_cannot_be_is_one_line_with_the_file(tmp_path, text, part):

@@ -10,7 +10,6 @@ import pytest
 import torch
 from made_runs import made_trials, make_predictions
 
-from r2h_batch.report.robustness import LEVELS
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
@@ -65,37 +64,6 @@ def here(monkeypatch):
     """The name under which this file's methods can be imported."""
     monkeypatch.setitem(sys.modules, "my_rules", fake_bench)
     return "my_rules"
-
-
-def test_robustness_is_a_run_folder_for_each_error_and_goes_on_where_it_stopped(fake, here, tmp_path, capsys):
-    out = tmp_path / "robust"
-    line = [
-        "--benchmark",
-        "r2h-v1",
-        "--method",
-        f"{here}:best",
-        "--trials",
-        "6",
-        "--out",
-        str(out),
-        "--set",
-        "robustness=true",
-    ]
-    assert sweep.main(line) == 0
-    captured = capsys.readouterr()
-    assert captured.out == (out / "robustness.md").read_text() and "20 mm, 3 deg" in captured.out
-    errors = [load_run(out / level).header["configuration"]["execution_error"] for level in LEVELS]
-    assert [e["camera_m"] for e in errors] == [e["object_m"] for e in errors] == [0.0, 0.003, 0.005, 0.010, 0.020]
-    before = {f: f.stat().st_mtime_ns for f in out.rglob("*.parquet")}
-    assert sweep.main(line) == 0 and capsys.readouterr().out == captured.out
-    assert before == {f: f.stat().st_mtime_ns for f in out.rglob("*.parquet")}
-    for clash in (
-        ["--benchmark", "r2h-v1", "--motions", "m.npz"],
-        ["--execution-error", "5mm,1deg"],
-        ["--format", "latex"],
-    ):
-        assert sweep.main([*line, *clash]) == 2
-        assert "--robustness" in capsys.readouterr().err
 
 
 def test_a_predictions_file_in_any_order_is_scored_as_what_it_is(fake, tmp_path, capsys):

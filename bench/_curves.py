@@ -1,8 +1,7 @@
-"""How SR falls as the executed handover is off by more (`sweep --robustness`): curves, their area, and
-the methods paired at each level."""
+"""How SR falls as the executed handover is off by more: curves, their area, and the methods paired at each level."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -16,8 +15,6 @@ from r2h_batch.report.table import HEADINGS, table_of
 from r2h_batch.report.text import (
     NA,
     aligned,
-    csv_text,
-    json_text,
     legend,
     notes_list,
     plain,
@@ -31,8 +28,6 @@ if TYPE_CHECKING:
 
 LEVELS = ("0mm,0deg", "3mm,0.5deg", "5mm,1deg", "10mm,2deg", "20mm,3deg")
 """Values of `execution_error`; each has a run folder of this name. The first is the reference."""
-
-FORMATS = ("md", "csv", "json")
 
 NOTES = (
     "SR: percent of all trials, mean of the splits; brackets: 95 %, MOVER of the splits' Wilson intervals. Area: mean height of"
@@ -105,9 +100,7 @@ def robustness(runs: Sequence[Run]) -> Robustness:
         own = [level[name] for level in lines]
         cells = [_by_category(level[name]) for level in counted]
         # (levels, C) successes and (C,) trials of each split
-        splits = [
-            (np.array([level[k][0] for level in cells]), n) for k, (_, n) in enumerate(cells[0])
-        ]
+        splits = [(np.array([level[k][0] for level in cells]), n) for k, (_, n) in enumerate(cells[0])]
         sr = tuple(rate for row in own if (rate := row.rates["sr"]))  # a run has trials
         won = [_won(run, name) for run in runs]
         lost = [
@@ -135,9 +128,7 @@ def _by_category(counted: Tally) -> list[tuple[np.ndarray, np.ndarray]]:
         names = [counted.category.get(cell["object"], cell["object"]) for cell in cells]
         kinds, place = np.unique(names, return_inverse=True)
         belongs = (place[:, None] == np.arange(len(kinds))).astype(np.int64)
-        successes, n = (
-            np.array([c[k] for c in cells], np.int64) @ belongs for k in ("successes", "n")
-        )
+        successes, n = (np.array([c[k] for c in cells], np.int64) @ belongs for k in ("successes", "n"))
         found.append((successes, n))
     return found
 
@@ -155,9 +146,7 @@ def _discordant(first: np.ndarray, now: np.ndarray) -> tuple[int, int]:
     return int((first & ~now).sum()), int((now & ~first).sum())
 
 
-def _lost(
-    splits: Sequence[tuple[np.ndarray, np.ndarray]], only: Sequence[tuple[int, int]]
-) -> Estimate:
+def _lost(splits: Sequence[tuple[np.ndarray, np.ndarray]], only: Sequence[tuple[int, int]]) -> Estimate:
     """The mean of the splits' differences, in points; no interval is narrower than the one for more trials."""
     parts: list[tuple[float, float | None]] = []
     for (x, n), (a, b) in zip(splits, only, strict=True):
@@ -189,23 +178,12 @@ def _mean(parts: Sequence[tuple[float, float | None]]) -> Estimate:
     return Estimate(100 * value, None if half is None else 100 * half)
 
 
-def render(found: Robustness, fmt: str = "md") -> str:
+def render(found: Robustness) -> str:
     """The curves as text that ends in a newline.
 
     Args:
         found: what `robustness` gives.
-        fmt: one of `FORMATS`.
     """
-    if fmt == "json":
-        return json_text(asdict(found))
-    if fmt == "csv":
-        records = []
-        for c in found.curves:
-            for level, sr, failed in zip(found.levels, c.sr, c.failures, strict=True):
-                rates: dict[str, Any] = {"sr": sr.percent, "sr_low": sr.low, "sr_high": sr.high}
-                rates |= {key: rate and rate.percent for key, rate in failed.items()}
-                records.append({"method": c.method, "error": level, **rates, "area": c.area.value})
-        return csv_text(records)
     short = short_names([c.method for c in found.curves])
     names = [plain(short[c.method]) for c in found.curves]
     rows = [
