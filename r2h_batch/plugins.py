@@ -193,7 +193,7 @@ class Registry(Generic[T]):
 
 @lru_cache(maxsize=1)
 def installed() -> tuple[EntryPoint, ...]:
-    """What other packages name in their entry points, all kinds together; nothing is imported."""
+    """The entry points of other packages, all kinds together; nothing is imported."""
     return tuple(entry_points(group=GROUP))
 
 

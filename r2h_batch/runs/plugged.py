@@ -1,4 +1,4 @@
-"""What other packages added to a run (`r2h_batch.plugins`): criteria that judged it, shares that its tables count,
+"""Additions of other packages to a run (`r2h_batch.plugins`): criteria that judged it, shares that its tables count,
 families and methods that it uses. run.json says of each the package, the version and a digest of its code.
 
 A sweep goes on with the same ones alone. Without one of them a run is read as it is, less its columns.
@@ -70,7 +70,7 @@ def _record(of: Sequence[str], modules: Sequence[str]) -> dict[str, str]:
 
 
 def other_plugins(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """What other packages add in which a stored run and a sweep that would go on with it differ, each with its package. A
+    """Additions of other packages in which a stored run and a sweep that would go on with it differ, each with its package. A
     share that is new changes no stored row, and a method or family that was not asked for before neither.
 
     Args:
@@ -120,7 +120,7 @@ def criteria_since(header: Mapping[str, Any]) -> list[str]:
 
 
 def _instead(a: Mapping[str, str], b: Mapping[str, str]) -> str:
-    """What stands in the place of a record: another package or version, or else another code."""
+    """The words for what stands in the place of a record: another package or version, or else another code."""
     return _of(b) if any(a[k] != b[k] for k in ("package", "version")) else "other code"
 
 

@@ -245,7 +245,7 @@ def unknown_criteria(schema: pa.Schema) -> frozenset[str]:
 
 
 def _unknown_outcome(words: Iterable[str | None], unknown: Collection[str]) -> str:
-    """What is wrong with outcomes; empty where nothing is."""
+    """The fault of outcomes; empty where there is none."""
     odd = {w for w in words if w is not None} - {*OUTCOME_NAMES, *unknown}
     return f"holds {min(odd)!r}; known are {', '.join(OUTCOME_NAMES)}" if odd else ""
 

@@ -225,7 +225,7 @@ def judged_again(
 
 
 def _unseen(stored: Mapping[str, Any]) -> tuple[str, ...]:
-    """What a row may also be that failed a criterion whose package is not installed here."""
+    """The outcome that a row may also have that failed a criterion whose package is not installed here."""
     return ("success",) if stored["outcome"] == ELSEWHERE else ()
 
 

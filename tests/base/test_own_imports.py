@@ -1,4 +1,4 @@
-"""What a module of the package imports, as its text says, compared with its syntax tree."""
+"""Imports of the package's modules, as their text says, compared with their syntax trees."""
 
 import ast
 

@@ -1,4 +1,4 @@
-"""What other packages added to a run: with another one its sweep does not go on, without one it is read as it is."""
+"""Additions of other packages to a run: with another one its sweep does not go on, without one it is read as it is."""
 
 import re
 from pathlib import Path
