@@ -1,7 +1,7 @@
 """Makes held_out.npz and capacity.npz of the built-in people's hand: ``python -m r2h_batch.assets.people.build_held_out``.
 
 After build_people. What receiving/build_held_out.py and build_capacity.py make of the built-in hand, of another hand and for
-the objects of r2h-v1. About 25 CPU minutes, no anny. Reception and transfers read both, predictors never do.
+the objects of r2h-v1. About 25 CPU minutes, no anny. Reception reads both, predictors never do.
 """
 
 from __future__ import annotations

@@ -304,7 +304,7 @@ def straight_down(
 def known_before(benchmark: Benchmark) -> tuple[Benchmark, HandSet]:
     """A benchmark as it is known before anything is seen: without its objects, people and trials; and two of its hands.
 
-    What people take (Received, Taken) is not asked: hands that take an object cost half a minute of search each.
+    What people can take (Received) is not asked: hands that take an object cost half a minute of search each.
     """
     own = replace(
         benchmark, name="believed", receiver="hand", people=None, listed=None, labels=None, seed="",

@@ -498,7 +498,7 @@ def test_no_forearm_goes_through_the_torso():
 
 
 def test_hands_hold_what_they_carry_and_what_a_pull_about_the_gripper_does_not_turn_in_them(scores, steps):
-    """Forces and moments in float64, from the poses, and the grips that transfers have."""
+    """Forces and moments in float64, from the poses, and the grips that are stored."""
     batch, arms, passes, _ = steps
     judge._carry(batch, arms, passes)
     trial, k, pair = pairs_of(batch, arms, passes[..., :5].all(2), 300)
