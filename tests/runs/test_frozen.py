@@ -1,4 +1,5 @@
-"""Run folders that r2h_batch 0.3 wrote (commit 7d23856b) open as they did: every command that reads one, on each kind of run."""
+"""Run folders that r2h_batch 0.3 wrote (commit 7d23856b) open as they did: every command that reads one, on each kind of run.
+One later run was judged by a criterion of a package that is installed nowhere (`test_plugged.py` has its text)."""
 
 import json
 import shutil
@@ -10,7 +11,8 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
 
 FROZEN = Path(__file__).resolve().parents[1] / "frozen"
-RUNS = ("static", "simulated", "closed_loop", "sees", "draft", "quarantine")
+PLUGGED = "plugged"
+RUNS = ("static", "simulated", "closed_loop", "sees", "draft", "quarantine", PLUGGED)
 DIGESTS = json.loads((FROZEN / "digests.json").read_text())
 """Run -> method -> what `results digest` said, and the outcomes of its rows in order; both as 0.3 read them."""
 UNFINISHED = {"quarantine": 1}
@@ -70,3 +72,18 @@ def test_a_trial_is_shown(run, tmp_path, capsys):
     line = ["view", str(run), "--method", method, "--trial", "0", "--strips", str(strips), "--frames", "2"]
     assert main(line) == 0, capsys.readouterr().err
     assert strips.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("run", [PLUGGED], indirect=True)
+def test_a_criterion_and_a_share_that_are_not_installed_are_told_in_one_line(run, capsys):
+    assert main(["report", str(run), "--format", "json"]) == 0
+    said = capsys.readouterr()
+    line = (
+        "read without the columns of criterion centred (strange 1.0) and share slow (strange 1.0), not installed here;"
+    )
+    assert said.err.count("not installed") == 1 and line in said.err
+    rows = json.loads(said.out)["rows"]
+    assert rows and not any("centre" in key or "slow" in key for row in rows for key in row)
+    for row in (r for r in rows if r["split"] != "Avg"):  # its verdicts stay
+        own = DIGESTS[PLUGGED][row["method"]]["outcomes"].split()[slice(*{"S0": (0, 8), "S1": (8, 16)}[row["split"]])]
+        assert row["sr"] == 100 * own.count("success") / 8
