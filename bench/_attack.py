@@ -25,7 +25,7 @@ MOST_SECONDS, MOST_MIB = 120.0, 1536
 LONGEST = 900.0
 """After so many seconds on the clock a command is ended: other work on the machine counts in these."""
 MOST_LINES, MOST_LETTERS = 2, 1500
-"""Lines of a refusal: the reason, and for a board that nobody is left."""
+"""Lines of a refusal: the reason, and what follows from it."""
 SHORT_SWEEP = ["sweep", "--benchmark", "r2h-v1", "--trials", "3", "--sim", "none"]
 """Words of a sweep over six trials."""
 SECRET = "SECRET-c0ffee52-never-told"
@@ -109,11 +109,6 @@ def solved_run() -> Path:
 def solved(place: Place, name: str = "run") -> Path:
     """A copy of the solved run."""
     return Path(shutil.copytree(solved_run(), place.work / name))
-
-
-def ranked() -> Path:
-    """A run of two methods on the default benchmark, as baselines."""
-    return swept("ranked", "--method oracle random --trials 6")
 
 
 # ---- what must hold after any attack

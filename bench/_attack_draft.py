@@ -14,18 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _damage import CSV, JSON, YAML, Damage, Kind, arrays_changed, json_changed, parquet, rewritten
+from _damage import CSV, JSON, Damage, Kind, arrays_changed, parquet, rewritten
 from _source import ROOT
 
 from r2h_batch.__main__ import main as command
 from r2h_batch.data.people import LENGTHS_M, built_in_people, read_people
 from r2h_batch.methods.ranker.network import read_weights
-from r2h_batch.protocols.hidden import check_told, commitment_of
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.runs.store import load_run
 
-SEED_TOLD = "0123456789abcdef" * 2
 DRAFT = "r2h-v3-draft"
 SHORT = ["--trials", "2", "--sim", "none", "--quiet"]
 
@@ -128,67 +126,6 @@ def beside(folder: str, rate: str, *words: str) -> Kind:
     """A kind of file beside the shards."""
     return Kind(".parquet", of_run(f"{folder}/*.parquet"), then(*words), {**parquet(), **sealed_attacks(rate)})
 
-
-# ---- seeds that are told, commitments
-
-
-def told(path: Path) -> None:
-    """The benchmark of a held-out board, and its commitment beside it."""
-    path.write_text(f"protocol: r2h-v1\nseed: '{SEED_TOLD}'\n")
-    sound = commitment_of(load_benchmark(path), 5)
-    (path.parent / "commitment.json").write_text(sound.model_dump_json())
-
-
-def checked(path: Path) -> object:
-    """Compares both."""
-    return check_told(path.parent / "commitment.json", load_benchmark(path))
-
-
-def seed(text: str) -> Damage:
-    """Another seed."""
-    return lambda p: p.write_text(f"protocol: r2h-v1\nseed: {text}\n")
-
-
-TOLD: dict[str, Damage] = {
-    "the seed in capitals": seed(f"'{SEED_TOLD.upper()}'"),
-    "the seed without its last digit": seed(f"'{SEED_TOLD[:-1]}'"),
-    "the seed with a space": seed(f"'{SEED_TOLD} '"),
-    "the seed with a new line": seed(f'"{SEED_TOLD}\\n"'),
-    "the seed as a number": seed(f"0x{SEED_TOLD}"),
-    "a seed of other digits": seed(f"'{SEED_TOLD[:-1]}\u0661'"),
-    "a seed of full width": seed(f"'\uff10{SEED_TOLD[1:]}'"),
-    "a seed with half of a pair": seed(f'"{SEED_TOLD[:-1]}\\ud800"'),
-    "a seed of 1 MiB": seed(f"'{'0' * (1 << 20)}'"),
-    "a seed of zeros": seed(f"'{'0' * 32}'"),
-    "no seed": lambda p: p.write_text("protocol: r2h-v1\n"),
-    "a seed that is null": seed("null"),
-    "a seed that is a list": seed(f"['{SEED_TOLD}']"),
-    "another protocol": lambda p: p.write_text(f"protocol: r2h-v2\nseed: '{SEED_TOLD}'\n"),
-    "another table": lambda p: p.write_text(p.read_text() + "table: {center: [0, 0, -0.03], half: [0.5, 0.6, 0.03]}\n"),
-}
-
-
-def promised(change: Callable[[dict[str, Any]], dict[str, Any]]) -> Damage:
-    """Another commitment beside the benchmark that was told."""
-    return lambda p: json_changed(change)(p.parent / "commitment.json")
-
-
-TOLD |= {
-    f"a commitment {what}": promised(change)
-    for what, change in {
-        "to 0 trials": lambda c: {**c, "trials": 0},
-        "to -5 trials": lambda c: {**c, "trials": -5},
-        "to 10^12 trials": lambda c: {**c, "trials": 10**12},
-        "to 5.5 trials": lambda c: {**c, "trials": 5.5},
-        "to one trial more": lambda c: {**c, "trials": c["trials"] + 1},
-        "in capitals": lambda c: {**c, "sha256": c["sha256"].upper()},
-        "of zeros": lambda c: {**c, "sha256": "0" * 64},
-        "of another benchmark": lambda c: {**c, "benchmark": "f" * 64},
-        "of a later format": lambda c: {**c, "format": 2},
-        "with a word more": lambda c: {**c, "seed": SEED_TOLD},
-        "without its hash": lambda c: {k: v for k, v in c.items() if k != "sha256"},
-    }.items()
-}
 
 # ---- answers to the draft, trials for it
 
@@ -533,7 +470,6 @@ def kinds() -> dict[str, Kind]:
         "reception": beside("reception", "received", "report", "RUN"),
         "viewed": beside("viewed", "viewed", "report", "RUN"),
         "picked": beside("picked", "picked", "results", "picked", "RUN"),
-        "told benchmark": Kind(".yaml", told, checked, {**YAML, **TOLD}),
         "answers to the draft": Kind(".npz", draft_answers, swept, ANSWERS),
         "trials for the draft": Kind(".npz", draft_trials, listed, MOMENTS),
         "progress.json": Kind(".json", of_run("progress.json"), resumed, {**JSON, **LEFT}),

@@ -5,7 +5,6 @@ import os
 import pickle
 import struct
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -272,32 +271,11 @@ def parquet() -> dict[str, Damage]:
     }
 
 
-ZIP: dict[str, Damage] = {
-    "64 MiB of zeros, deflated": lambda p: member(p, "run/x", bytes(64 << 20), method=zipfile.ZIP_DEFLATED),
-    "a name that leads out": lambda p: member(p, "run/../../x", b"x"),
-    "an absolute name": lambda p: member(p, "/x", b"x"),
-    "a name with a backslash": lambda p: member(p, "run\\..\\x", b"x"),
-    "a member twice": lambda p: member(p, first_member(p), b"{}"),
-    "100,001 members": lambda p: many_members(p, 100_001),
-    "a link as a member": lambda p: linked_member(p),
-    "a false size": rewritten(lambda d: d.replace(struct.pack("<I", zlib.crc32(b"{}")), b"\xff" * 4)),
-    "no end": rewritten(lambda d: d[:-22]),
-}
-
-
 def many_members(path: Path, count: int, data: bytes = b"") -> None:
     """Adds so many members."""
     with zipfile.ZipFile(path, "a") as archive:
         for k in range(count):
             archive.writestr(f"run/{k}", data)
-
-
-def linked_member(path: Path) -> None:
-    """Adds a member that an unpacker may make a link of."""
-    info = zipfile.ZipInfo("run/shards")
-    info.create_system, info.external_attr = 3, 0o120777 << 16
-    with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr(info, "/etc")
 
 
 def pickled(value: Any) -> Damage:

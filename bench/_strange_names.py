@@ -22,7 +22,6 @@ NAMES: dict[str, Callable[[Place], str]] = {
     "a new line": lambda p: "a\nb: c",
     "text from right to left": lambda p: "a\u202egnp.exe",
     "Cyrillic letters that look like oracle": lambda p: "\u043er\u0430\u0441le",
-    "a built-in name with the board's own mark": lambda p: "oracle (submitted)",
     "a tag": lambda p: TAG,
     "the end of a script": lambda p: SCRIPT,
     "a command of TeX": lambda p: "\\input{/etc/passwd}\\write18{x}",

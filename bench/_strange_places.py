@@ -86,9 +86,6 @@ LINKS: dict[str, Attack] = {
     "a report's file is a link to nothing": linked(
         "../told.csv", lambda p: p.outside / "new.txt", ["report", "run", "--format", "csv", "--out", "told.csv"]
     ),
-    "a submission's file is a link": linked(
-        "../x.zip", victim, ["submit", "run", "--rows", "1", "--out", "x.zip", "--overwrite"]
-    ),
     "a log of nowhere": linked("log.txt", lambda p: "/dev/full"),
     "a loop of folders": linked("shards/loop", lambda p: ".."),
 }

@@ -1,16 +1,14 @@
-"""Run folders, submissions and boards of strangers."""
+"""Run folders of strangers."""
 
 import hashlib
 import json
 import os
 import shutil
-import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from _attack import TAG, Attack, Command, Ended, Place, ranked, small
+from _attack import TAG, Attack, Command, Ended, Place, small
 from _strange_names import in_json
 
 REPORT = ["report", "run", "--format", "csv", "--out", "told.csv"]
@@ -346,198 +344,6 @@ SIDES: dict[str, Attack] = {
     "reception: 10^9 grasps": side("reception", lambda n: {"grasps": [10**9] * n, "reception": [1.0] * n}),
 }
 
-# ---- submissions
-
-
-def submitted(
-    change: Callable[[Path, dict[str, bytes]], object], must: str = "refused", command: Sequence[str] | None = None
-) -> Attack:
-    """A zip of a run that somebody wrote by hand."""
-
-    def does(place: Place) -> list[Command]:
-        run = small(place)
-        members = {
-            f"run/{f.relative_to(run)}": f.read_bytes()
-            for f in sorted(run.rglob("*"))
-            if f.is_file() and "claims" not in str(f)
-        }
-        shutil.rmtree(run)
-        change(place.work / "x.zip", members)
-        return [list(command or ["leaderboard", "x.zip", "--out", "board.html", "--rows", "1", "--least", "1"])]
-
-    return Attack(does, must)
-
-
-def packed(path: Path, members: dict[str, bytes], **infos: Any) -> None:
-    """A zip of these members; `external`: mode bits of the first one."""
-    with zipfile.ZipFile(path, "w") as out:
-        for k, (name, data) in enumerate(members.items()):
-            info = zipfile.ZipInfo(name)
-            info.create_system = 3
-            info.external_attr = infos.get("external", 0o100644) << 16 if k == 0 else 0o100644 << 16
-            out.writestr(info, data)
-
-
-def first_renamed(name: str) -> Callable[[Path, dict[str, bytes]], object]:
-    """A zip with one more member of this name."""
-    return lambda p, m: packed(p, {**m, name: b"owned"})
-
-
-ZIPS: dict[str, Attack] = {
-    "a member out of the folder": submitted(first_renamed("run/../../outside/folder/x")),
-    "a member of a drive": submitted(first_renamed("C:\\Windows\\x")),
-    "a member on a share": submitted(first_renamed("//server/share/x")),
-    "a member of a device of Windows": submitted(first_renamed("run/NUL"), "either"),
-    "a member with a stream of NTFS": submitted(first_renamed("run/run.json:stream"), "either"),
-    "a member that differs by case": submitted(lambda p, m: packed(p, {**m, "run/RUN.JSON": b"{}"}), "either"),
-    "a member that differs by composition": submitted(
-        lambda p, m: packed(p, {**m, "run/e\u0301": b"", "run/\u00e9": b""}), "either"
-    ),
-    "a member of 5,000 letters": submitted(first_renamed("run/" + "x" * 5000)),
-    "a member 1,000 folders deep": submitted(first_renamed("run/" + "a/" * 1000 + "x")),
-    "a member with a new line": submitted(first_renamed("run/a\nb"), "either"),
-    "a member with an escape": submitted(first_renamed("run/\x1b[2J"), "either"),
-    "a pipe as a member": submitted(lambda p, m: packed(p, m, external=0o010644), "either"),
-    "a device as a member": submitted(lambda p, m: packed(p, m, external=0o060644), "either"),
-    "bits of set-uid": submitted(lambda p, m: packed(p, m, external=0o104755), "either"),
-    "two runs": submitted(lambda p, m: packed(p, {**m, **{k.replace("run/", "other/", 1): v for k, v in m.items()}})),
-    "no run": submitted(lambda p, m: packed(p, {"x": b""})),
-    "a zip in a zip": submitted(lambda p, m: _nested(p, m)),
-    "a run within a run": submitted(
-        lambda p, m: packed(p, {**m, **{"run/shards/random/" + k: v for k, v in m.items()}}), "either"
-    ),
-    "rows alone": submitted(lambda p, m: packed(p, {k: v for k, v in m.items() if k.endswith("parquet")})),
-    "a tar": submitted(lambda p, m: p.write_bytes(_tar(m))),
-    "a file of code in it": submitted(
-        lambda p, m: packed(p, {**m, "run/r2h_batch/__init__.py": b"raise SystemExit", "run/sitecustomize.py": b"x"}),
-        "either",
-    ),
-    "a name that is a tag": submitted(
-        lambda p, m: packed(p.with_name(TAG.replace("/", "") + ".zip"), m),
-        must="either",
-        command=["leaderboard", ".", "--out", "board.html", "--rows", "1", "--least", "1"],
-    ),
-    "the zip itself is a link": submitted(lambda p, m: _linked(p, m), "either"),
-}
-
-
-def _nested(path: Path, members: dict[str, bytes]) -> None:
-    packed(path.with_name("y.zip"), members)
-    packed(path, {"run/y.zip": path.with_name("y.zip").read_bytes()})
-
-
-def _linked(path: Path, members: dict[str, bytes]) -> None:
-    packed(path.with_name("y"), members)
-    path.symlink_to("y")
-
-
-def _tar(members: dict[str, bytes]) -> bytes:
-    import io
-    import tarfile
-
-    file = io.BytesIO()
-    with tarfile.open(fileobj=file, mode="w") as out:
-        for name, data in members.items():
-            info = tarfile.TarInfo(name)
-            info.size = len(data)
-            out.addfile(info, io.BytesIO(data))
-    return file.getvalue()
-
-
-# ---- another's answers on a board
-
-BOARD = ["leaderboard", "mine", "--baselines", "sound", "--out", "board.html", "--rows", "2", "--least", "1"]
-
-
-def turned(degrees: float, axis: int) -> np.ndarray:
-    """A turn about an axis of the ee."""
-    T, a = np.eye(4), np.deg2rad(degrees)
-    i, j = [k for k in range(3) if k != axis]
-    T[i, i] = T[j, j] = np.cos(a)
-    T[i, j], T[j, i] = (-np.sin(a), np.sin(a)) if axis != 1 else (np.sin(a), -np.sin(a))
-    return T
-
-
-def shifted(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """A shift."""
-    T = np.eye(4)
-    T[:3, 3] = x, y, z
-    return T
-
-
-def replayed(
-    grasp: Callable[[np.ndarray, int], np.ndarray], pose: Callable[[np.ndarray, int], np.ndarray], every: int = 1
-) -> Attack:
-    """The oracle's answers, changed, as a method of one's own; in `every`-th trial, else random's."""
-
-    def does(place: Place) -> list[Command]:
-        import pyarrow.parquet as pq
-
-        base = ranked()
-        shutil.copytree(base, place.work / "sound")
-        rows: dict[str, dict[int, Any]] = {}
-        for method in ("oracle", "random"):
-            (shard,) = (base / "shards" / method).glob("*.parquet")
-            rows[method] = {
-                r["trial_id"]: r["poses"] for r in pq.read_table(shard, columns=["trial_id", "poses"]).to_pylist()
-            }
-        ids = sorted(rows["oracle"])
-        own = [rows["oracle" if k % every == 0 else "random"][i] for k, i in enumerate(ids)]
-        G = np.array([r["T_obj_ee"] for r in own], float).reshape(-1, 4, 4)
-        H = np.array([r["T_world_ee"] for r in own], float).reshape(-1, 4, 4)
-        for k in range(len(ids)):
-            G[k], H[k] = grasp(G[k], k), pose(H[k], k)
-        np.savez(
-            place.work / "mine.npz",
-            trial_id=np.array(ids),
-            T_obj_ee=G.astype(np.float32),
-            T_world_ee=H.astype(np.float32),
-        )
-        return [["sweep", "--predictions", "mine.npz", "--trials", "6", "--sim", "none", "--out", "mine"], BOARD]
-
-    return Attack(does, "either", no_place)
-
-
-def no_place(place: Place, ended: Ended) -> str:
-    """The board names whose answers they are, and gives them no place."""
-    page = place.work / "board.html"
-    text = page.read_text() if page.exists() else ""
-    return "" if "answers of oracle" in text.replace("\n", " ") else "another's answers have a place"
-
-
-def right(T: np.ndarray) -> Callable[[np.ndarray, int], np.ndarray]:
-    """The pose, then this."""
-    return lambda own, k: own @ T
-
-
-def left(T: np.ndarray) -> Callable[[np.ndarray, int], np.ndarray]:
-    """This, then the pose."""
-    return lambda own, k: T @ own
-
-
-def jitter(size: float) -> Callable[[np.ndarray, int], np.ndarray]:
-    """Another small shift in each trial."""
-    return lambda own, k: shifted(*np.random.default_rng(k).uniform(-size, size, 3)) @ own
-
-
-SAME = right(np.eye(4))
-REPLAYS: dict[str, Attack] = {
-    "as they are": replayed(SAME, SAME),
-    "every pose 0.9 mm higher": replayed(SAME, left(shifted(z=0.0009))),
-    "every pose 1.5 mm higher": replayed(SAME, left(shifted(z=0.0015))),
-    "every pose 3 mm higher": replayed(SAME, left(shifted(z=0.003))),
-    "another shift of up to 3 mm in each trial": replayed(SAME, jitter(0.003)),
-    "the gripper turned by half a turn, the object where it was": replayed(
-        right(turned(180, 2)), right(turned(180, 2))
-    ),
-    "the gripper 3 mm deeper, the object where it was": replayed(right(shifted(z=0.003)), right(shifted(z=0.003))),
-    "the gripper 3 mm aside, the object where it was": replayed(right(shifted(x=0.003)), right(shifted(x=0.003))),
-    "the gripper turned by 3 degrees about its axis": replayed(SAME, right(turned(3, 2))),
-    "the grasp of the oracle, its pose 3 mm aside, in every third trial": replayed(
-        SAME, left(shifted(y=0.003)), every=3
-    ),
-}
-
 KINDS = {
     "numbers of a run.json": {k: header(*v) for k, v in HEADER.items()},
     "files named by a run": {
@@ -547,6 +353,4 @@ KINDS = {
     "forged shards": shards(),
     "files of shards": SHARD_FILES,
     "forged files beside the shards": SIDES,
-    "archives of submissions": ZIPS,
-    "another's answers": REPLAYS,
 }

@@ -19,7 +19,6 @@ import struct
 import sys
 import tempfile
 import time
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import redirect_stdout
 from functools import cache
@@ -39,7 +38,6 @@ from _damage import (
     WEIGHTS,
     XML,
     YAML,
-    ZIP,
     Damage,
     Kind,
     claims,
@@ -58,7 +56,6 @@ from r2h_batch.data.robot_srdf import read_srdf
 from r2h_batch.data.safe_pickle import read_npy, read_pickle_file
 from r2h_batch.methods.ranker.network import read_weights
 from r2h_batch.observe.rig import load_rig
-from r2h_batch.protocols.hidden import commitment_of, read_commitment
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.runs.files import sha256_of
@@ -70,7 +67,6 @@ from r2h_batch.scene.robot import read_robot
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.options import load_config
 from r2h_batch.sweep.study.report import read_ratings
-from r2h_batch.sweep.submission_judge import unpack
 from r2h_batch.trials.predictions import load_answers
 
 STORED, PAGE = ROOT / "bench" / "results" / "attacks.json", ROOT / "docs" / "results" / "attacks.md"
@@ -171,18 +167,13 @@ MESHES["GLB mesh"] = Kind(
 
 @cache
 def work() -> Path:
-    """A folder with a small run, and its submission."""
+    """A folder with a small run."""
     folder = Path(tempfile.mkdtemp(prefix="attacks-"))
     os.chdir(folder)
     words = "--benchmark r2h-v1 --method random --trials 3 --sim none --out run"
     with redirect_stdout(io.StringIO()):
         sweep(words.split())
     (folder / "run" / "ids.csv").write_text("trial_id,id,variant\n0,a,x\n2,b,x\n4,c,x\n1,d,y\n3,e,y\n5,f,y\n")
-    with zipfile.ZipFile(folder / "run.zip", "w") as archive:
-        archive.writestr("submission.json", "{}")
-        for file in sorted((folder / "run").rglob("*")):
-            if file.is_file() and file.parent.name in ("run", "methods", "random"):
-                archive.write(file, Path("run") / file.relative_to(folder / "run"))
     return folder
 
 
@@ -227,15 +218,6 @@ def labelled(path: Path) -> object:
 def copied(place: str) -> Callable[[Path], object]:
     """A file of the package's data."""
     return lambda path: path.write_bytes((ROOT / "assets" / place).read_bytes())
-
-
-def submission(path: Path) -> object:
-    """A submission, unpacked and verified."""
-    folder = path.parent / "unpacked"
-    folder.mkdir()
-    run = load_run(unpack(path, folder), verify=False)
-    run.verify(whole=True)
-    return run
 
 
 def some_answers(path: Path) -> None:
@@ -285,11 +267,6 @@ def some_trials(path: Path) -> None:
 def listed(path: Path) -> object:
     """Reads listed trials."""
     return read_trials_file(path, v1().objects, v1().hand_set)
-
-
-def commitment(path: Path) -> None:
-    """A commitment to trials."""
-    path.write_text(commitment_of(v1().with_seed("0123456789abcdef" * 2), 5).model_dump_json(indent=1))
 
 
 URDF = b"""<robot name="x"><link name="base"/><link name="a"><inertial><mass value="1.0"/><inertia ixx="0.1" ixy="0"
@@ -367,12 +344,10 @@ def kinds() -> dict[str, Kind]:
         "trials .json": Kind(".json", some_trials, listed, JSON),
         "benchmark.yaml": Kind(".yaml", text(YAML_FILE), lambda p: command(["benchmark", "check", str(p)]), YAML),
         "sweep's --config": Kind(".yaml", text(CONFIG), load_config, YAML),
-        "commitment": Kind(".json", commitment, read_commitment, JSON),
         "run.json": Kind(".json", of_run("run.json"), reported, JSON),
         "a method's file": Kind(".json", of_run("methods/random.json"), reported, JSON),
         "shard": Kind(".parquet", of_run(shard), reported, table),
         "ids.csv": Kind(".csv", of_run("ids.csv"), labelled, CSV),
-        "submission": Kind(".zip", lambda p: p.write_bytes((work() / "run.zip").read_bytes()), submission, ZIP),
         "grasps": Kind(".npz", some_grasps, read_grasps, NPZ),
         "hand": Kind(".npz", copied("people/hand.npz"), read_hand, NPZ),
         "hand set": Kind(".npz", copied("hand/handset.npz"), read_hand_set, NPZ),

@@ -54,10 +54,7 @@ COMMANDS = {
     "results picked": "results picked {run} --method contact",
     "results viewed": "results viewed {run} --method contact",
     "results reception": "results reception {simulated}",
-    "results held": "results held {simulated}",
     "turn": "turn {simulated} --method oracle",
-    "submit": "submit {run} --rows 100 --out {new}/run.zip",
-    "leaderboard": "leaderboard {new}/run.zip --rows 100 --least 0 --out {new}/board.html",
     "import robot": "import robot --from airo-models:ur3e.urdf --base base_link --flange tool0 --out {new}/arm",
     "train rank": "train rank --items 1 --steps 20 --rounds 0 --out {new}/trained",
     "observe export": "observe export --families cup,hammer:x:2 --trials 50 --out {new}/views",
@@ -193,7 +190,7 @@ def measured(options: argparse.Namespace) -> dict[str, Any]:
             new.mkdir(parents=True, exist_ok=True)
             if options.only:  # what the command wrote before, so that it does all of it again
                 for word in _words(name, "{new}", ""):
-                    if word.startswith("{new}/") and name != "leaderboard":
+                    if word.startswith("{new}/"):
                         _remove(new / word.removeprefix("{new}/"))
             line = [sys.executable, "-m", "r2h_batch", *_words(name, str(new), str(out / ROUNDS[0]))]
             if name in CALLS:

@@ -61,8 +61,6 @@ SHORT = {
     "files of shards": 4,
     "files named by a run": 3,
     "forged files beside the shards": 2,
-    "archives of submissions": 2,
-    "another's answers": 0,
     "meshes": 6,
     "robots": 8,
     "rigs": 8,
@@ -79,15 +77,8 @@ SHORT = {
     "tables of a real robot": 23,
 }
 """Attacks of a kind that judge, or build what is judged: so many of them without --all, and those that found a hole."""
-MOVED = "place 1 on a board, as nobody's answers"
 TRACE = "a traceback"
 FELL = {
-    ("another's answers", "every pose 1.5 mm higher"): MOVED,
-    ("another's answers", "every pose 3 mm higher"): MOVED,
-    ("another's answers", "another shift of up to 3 mm in each trial"): MOVED,
-    ("another's answers", "the gripper 3 mm deeper, the object where it was"): MOVED,
-    ("another's answers", "the gripper 3 mm aside, the object where it was"): MOVED,
-    ("another's answers", "the grasp of the oracle, its pose 3 mm aside, in every third trial"): MOVED,
     ("trials' names", "a path out of the folder, export"): "a file beside the folder of `export`",
     ("checkpoints", "pickles that call"): f"{TRACE}; the pickle did not run",
     ("checkpoints", "random bytes"): TRACE,
@@ -100,7 +91,6 @@ FELL = {
     ("rigs", "10,000 tables deep"): TRACE,
     ("rigs", "10,000 dotted keys"): TRACE,
     ("words on the command line", "--turn: \u0661,\u0662,\u0663"): "read as 1, 2 and 3 degrees",
-    ("archives of submissions", "a member of 5,000 letters"): "a line of 5,000 letters",
 }
 """(kind, attack) -> what happened when the attack was new, at commit aaea3d19 (a stranger's first run)."""
 
@@ -150,7 +140,7 @@ def markdown(data: Mapping[str, Any]) -> str:
 def shared(words: Sequence[str], whole: bool) -> dict[str, dict[str, dict[str, Any]]]:
     """Attacks by several processes: kind -> what -> how it ended."""
     warm()
-    for make in (_attack.small_run, _attack.solved_run, _attack.ranked, _strange_answers.solutions):
+    for make in (_attack.small_run, _attack.solved_run, _strange_answers.solutions):
         make()  # once, before the first fork
     chosen = [*each_of(words, whole)]
     with tempfile.TemporaryDirectory() as folder:

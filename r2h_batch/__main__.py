@@ -34,21 +34,13 @@ COMMANDS = {
         "view.lab.command:COMMANDS",
         "Write trials for a real arm: paths, sheets, objects, a table to fill in.",
     ),
-    "submit": (
-        "sweep.submission:submit",
-        "Write a finished run as one checked file for a leaderboard.",
-    ),
-    "leaderboard": (
-        "sweep.submission:leaderboard",
-        "Write a page of submissions, each judged again first.",
-    ),
     "ls": (
         "sweep.ls:ls",
         "List methods, objects, robots, benchmarks or runs.",
     ),
     "benchmark": (
         "protocols.command:COMMANDS",
-        "Show what a benchmark file may say, check one, or hide trials.",
+        "Show what a benchmark file may say, or check one.",
     ),
     "train": (
         "learning.command:COMMANDS",

@@ -654,32 +654,6 @@ MUTATIONS = (
         ("tests/runs/test_side_files.py::test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside",),
     ),
     Mutation(
-        "shipped answers: the object's pose alone counts",
-        "r2h_batch/report/compare/shipped_answers.py",
-        "axis=2).max(1)",
-        "axis=2)[:, 0]",
-        ("tests/report/test_board.py::test_no_shipped_method_has_the_answers_of_another_one",),
-    ),
-    Mutation(
-        "shipped answers: the gripper's turn counts",
-        "r2h_batch/report/compare/shipped_answers.py",
-        "T_obj_ee[:, :3, :3].transpose(0, 2, 1)",
-        "T_obj_ee[:, :3, :3]",
-        (
-            "tests/report/test_board.py::test_a_half_turn_of_the_gripper_about_its_axis_does_not_hide_a_shipped_answer",
-        ),
-    ),
-    Mutation(
-        "shipped answers: how the object is turned does not count",
-        "r2h_batch/report/compare/shipped_answers.py",
-        " & (cosine >= np.cos(np.radians(MOVED_DEG)))",
-        "",
-        (
-            "tests/report/test_board.py::"
-            "test_a_shipped_answer_may_turn_the_object_by_less_than_8_degrees_where_it_is_moved",
-        ),
-    ),
-    Mutation(
         "methods that see: any length is read from their pipe",
         "r2h_batch/observe/messages.py",
         "    if size > most:",
@@ -752,18 +726,11 @@ MUTATIONS = (
         ("tests/report/test_report.py::test_what_a_method_says_that_it_learned_from_is_text_in_markdown",),
     ),
     Mutation(
-        "hidden trials: the seed is no part of the promise",
-        "r2h_batch/protocols/hidden.py",
-        "hidden trials\\n{benchmark.seed}\\n{published}",
-        "hidden trials\\n{published}",
-        ("tests/protocols/test_hidden.py::test_the_promise_holds_for_its_seed_alone",),
-    ),
-    Mutation(
-        "hidden trials: a seed draws the published ones",
+        "other trials: a seed draws the published ones",
         "r2h_batch/protocols/draw/rule.py",
         'seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name',
         "seed = self.name",
-        ("tests/protocols/test_hidden.py::test_a_seed_draws_other_trials_of_the_same_rule_and_none_draws_the_published_ones",),
+        ("tests/protocols/test_seed.py::test_a_seed_draws_other_trials_of_the_same_rule_and_none_draws_the_published_ones",),
     ),
     Mutation(
         "bodies: a torso may be around the robot",
@@ -1363,7 +1330,7 @@ MUTATIONS = (
         'r2h_batch/report/table.py',
         '            *self.trained,\n',
         '',
-        ('tests/sweep/test_method_jobs.py::test_what_a_method_was_trained_on_stands_in_tables_comparisons_and_leaderboards',),
+        ('tests/sweep/test_method_jobs.py::test_what_a_method_was_trained_on_stands_in_tables_and_comparisons',),
     ),
     Mutation(
         'labels: what was not evaluated fails',

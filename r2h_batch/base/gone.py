@@ -7,6 +7,9 @@ _NOBODY = "nobody simulates how the object is taken; `results reception RUN` say
 _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
 
 GONE = {
+    "benchmark hide": 'write a benchmark.yaml with `seed: "32 hexadecimal digits"` and keep it: it has other trials',
+    "leaderboard": "`results reevaluate RUN` judges a run again, `compare RUN RUN baselines` compares its methods",
+    "submit": "hand over the run folder; `results reevaluate RUN` judges its rows again",
     "figures": "use view RUN --strips FILE with --trial ID, or with --one-of-each",
     "report --perceived": "use study ratings FILE.csv, for ratings of your own",
     "study comfort": "use study ratings FILE.csv",

@@ -1,11 +1,10 @@
-"""The command `benchmark` (a benchmark file's schema, the built-in one as a file, a check, held-out trials)."""
+"""The command `benchmark` (a benchmark file's schema, the built-in one as a file, a check)."""
 
 import sys
 from pathlib import Path
 
 from r2h_batch.base.command_line import failed, refuse
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
 
 
 def show(*, builtin: bool = False) -> int:
@@ -77,64 +76,4 @@ def check(file: Path, /) -> int:
     return 0
 
 
-def hide(
-    benchmark: str = DEFAULT_PROTOCOL, /, *, out: Path, trials: int = 500, overwrite: bool = False
-) -> int:
-    """Commit to held-out trials of a benchmark: nobody knows them, and you cannot choose them later.
-
-    The command draws a seed and writes two files. OUT is the benchmark with that seed: keep it to yourself until you tell
-    the trials. OUT's name with .commitment.json holds a hash of it: publish this file first. Afterwards everybody sweeps
-    with `--benchmark OUT`, and `r2h-batch leaderboard --hidden` checks that OUT is what the commitment promised.
-
-    Args:
-        benchmark: a name of r2h-batch ls benchmarks, or a benchmark.yaml.
-        out: the file to write, NAME.yaml; beside the benchmark.yaml if that is what you give.
-        trials: of each split, from the first one on.
-        overwrite: replace files of these names.
-    """
-    import secrets
-
-    from r2h_batch.base.command_line import check_range
-    from r2h_batch.base.errors import FileError
-    from r2h_batch.base.io.read import MAX_YAML_BYTES, read_file
-    from r2h_batch.base.io.write import check_output_file, write_text
-    from r2h_batch.protocols.benchmark import MOST_TRIALS
-    from r2h_batch.protocols.hidden import commitment_of
-    from r2h_batch.protocols.load import load_benchmark
-    from r2h_batch.protocols.registry import BENCHMARK
-
-    check_range("--trials", trials, 1, MOST_TRIALS)
-    if out.suffix not in (".yaml", ".yml"):
-        raise FileError(f"--out {out}: the benchmark is a .yaml file")
-    promise = out.with_suffix(".commitment.json")
-    for path in (out, promise):
-        check_output_file(path, overwrite=overwrite)
-    base, file = load_benchmark(benchmark), Path(benchmark)
-    if benchmark in BENCHMARK:
-        text = f"protocol: {benchmark}\n"
-    elif ":" in benchmark or file.suffix not in (".yaml", ".yml"):
-        raise FileError(f"{benchmark}: give a name of r2h-batch ls benchmarks, or a benchmark.yaml")
-    elif out.absolute().parent != file.absolute().parent:
-        raise FileError(
-            f"--out {out}: write it into {file.absolute().parent}, where the files that {file.name} names are"
-        )
-    else:
-        text = read_file(file, MAX_YAML_BYTES).decode()
-    if base.seed:
-        raise FileError(f"{benchmark}: has a seed; give the benchmark without it")
-    own = base.with_seed(secrets.token_hex(16))
-    said = commitment_of(own, trials)
-    write_text(out, f'{text.rstrip()}\nseed: "{own.seed}"\n')
-    if load_benchmark(out).digest != own.digest:
-        out.unlink()
-        raise FileError(
-            f"{benchmark}: its file does not say all that it is; write it as a benchmark.yaml"
-        )
-    out.chmod(0o600)
-    write_text(promise, said.model_dump_json(indent=1) + "\n")
-    print(f"{promise}: publish it now; sha256 {said.sha256}")
-    print(f"{out}: keep it secret until the trials are told ({trials} of each split)")
-    return 0
-
-
-COMMANDS = {"show": show, "check": check, "hide": hide}
+COMMANDS = {"show": show, "check": check}

@@ -180,7 +180,7 @@ class BenchmarkFile(_Entry):
     )
     seed: Annotated[str, Field(pattern=f"^{SEED}$")] | None = Field(
         default=None,
-        description="32 hexadecimal digits: other trials of the same rule (r2h-batch benchmark hide); null: the published ones",
+        description="32 hexadecimal digits: other trials of the same rule; null: the published ones",
     )
     thresholds: Limits = Thresholds()
     robot: FilePath = Field(

@@ -1,7 +1,7 @@
 """Readers of meshes, HDF5 and Parquet files in this process: one of its own takes a CPU second to import them, for each file.
 
 Tests of what such a process is for (`own_process`) have it: tests/scene/test_hostile_meshes.py,
-tests/data/test_grasps_refused.py, tests/runs/test_hostile_folders.py and tests/sweep/test_leaderboard.py.
+tests/data/test_grasps_refused.py and tests/runs/test_hostile_folders.py.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,6 @@ READERS = {
     "r2h_batch.scene.mesh_import.file": "_child",
     "r2h_batch.data.hdf5": "_read",
     "r2h_batch.base.io.parquet": "_child",
-    "r2h_batch.sweep.submission_judge": "_child",
     "r2h_batch.base.io.onnx": "_child",
 }
 """Module -> what it gives to `answer_parent`."""

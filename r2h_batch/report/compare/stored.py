@@ -94,17 +94,6 @@ def load_baselines(folder: Path, *, verify: bool = True) -> "Run":
     return join([load_run(f, verify=verify) for f in folders])
 
 
-def has_baselines(header: Mapping[str, Any]) -> bool:
-    """Whether a run can be compared with stored rows. Of a draft none are stored: its trials may change.
-
-    Args:
-        header: run.json.
-    """
-    if not str(header.get("protocol", "")).endswith("-draft"):
-        return True
-    return any(all(_likeness(header, own)[:2]) for own in _headers().values())
-
-
 def is_stored(run: "Run") -> bool:
     """Whether a run is one of the stored ones."""
     return run.folder in stored_rows()

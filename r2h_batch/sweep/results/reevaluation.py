@@ -100,8 +100,6 @@ class Reevaluation:
         scored: rows that were judged again.
         equal: rows of those that are equal bit for bit, with a built-in method's answers.
         differences: the values that differ.
-        built_in: whether it is a built-in method, and all of those rows are equal. The machine that
-            run.json names is not trusted, so no tolerance applies here.
         asked: a sentence: whether the method answered again, or why not.
     """
 
@@ -110,7 +108,6 @@ class Reevaluation:
     scored: int
     equal: int
     differences: tuple[Difference, ...]
-    built_in: bool
     asked: str
 
 
@@ -296,8 +293,7 @@ def reevaluate(
             differences = [d for d in differences if d not in loose]
     counts = (total, len(chosen), len(chosen) - len(unequal))
     asked += judge.played
-    built_in = job is not None and not unequal
-    return Reevaluation(method, *counts, tuple(differences), built_in, asked)
+    return Reevaluation(method, *counts, tuple(differences), asked)
 
 
 def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]:
