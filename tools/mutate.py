@@ -640,20 +640,6 @@ MUTATIONS = (
         ("tests/closed_loop/test_moving.py::test_the_turn_of_a_hand_that_moves_has_the_root_mean_square_that_is_asked",),
     ),
     Mutation(
-        "side files: successes of another run are taken",
-        "r2h_batch/runs/side.py",
-        "    if kind.of_rows and len(ids):",
-        "    if False:",
-        ("tests/runs/test_side_files.py::test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside",),
-    ),
-    Mutation(
-        "side files: any number of rows is read",
-        "r2h_batch/runs/side.py",
-        "if (rows := file.metadata.num_rows) > trials:",
-        "if (rows := file.metadata.num_rows) > trials**6:",
-        ("tests/runs/test_side_files.py::test_a_forged_file_is_one_line_that_names_it_and_verify_sets_it_aside",),
-    ),
-    Mutation(
         "methods that see: any length is read from their pipe",
         "r2h_batch/observe/messages.py",
         "    if size > most:",
@@ -2006,13 +1992,6 @@ MUTATIONS = (
             "tests/methods/test_from_the_table.py"
             "::test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_spare_margins_first",
         ),
-    ),
-    Mutation(
-        "side files: edited columns are believed",
-        "r2h_batch/runs/side.py",
-        'return "" if told == columns.digest.encode() else',
-        'return "" if told else',
-        ("tests/runs/test_side_files.py::test_a_file_that_was_edited_is_one_line_and_verify_sets_it_aside",),
     ),
     Mutation(
         "clouds: one pixel late",

@@ -498,14 +498,12 @@ class Run:
             path: the file; None: that of the method.
 
         Raises:
-            RunError: it is too large, lacks a column, or says something about other trials.
+            RunError: it is damaged, too large, lacks a column, or says something about other trials.
         """
         path = side_path(self.entry(method), folder) if path is None else path
         if not os.path.lexists(path):
             return None
-        rows = self.trials(method, ["trial_id", "outcome"])
-        won = pc.equal(rows["outcome"].cast(pa.string()), "success").to_numpy()
-        return read_side(path, rows["trial_id"].to_numpy(), won)
+        return read_side(path, self.trials(method, ["trial_id"])["trial_id"].to_numpy())
 
     def keeps(self, method: str, path: Path, schema: pa.Schema) -> bool:
         """Whether a file beside a method's shards is as it was written, with these columns, about the trials of the run.
@@ -523,14 +521,10 @@ class Run:
             return False
         return True
 
-    def verify(self, *, whole: bool = False) -> None:
-        """Raise `RunError` unless every stored shard is as it was written.
-
-        Args:
-            whole: decode every column in a child process, for folders of strangers.
-        """
+    def verify(self) -> None:
+        """Raise `RunError` unless every stored shard is as it was written."""
         for run in self.runs:
-            if problem := first_problem(run.folder, run.entries, whole=whole):
+            if problem := first_problem(run.folder, run.entries):
                 raise RunError(problem)
 
     def digest(self, method: str) -> str:
@@ -622,8 +616,7 @@ def load_run(folder: str | Path, *, verify: bool = True) -> Run:
 
     Args:
         folder: the run folder.
-        verify: compare every file with its sha256 first, and open it in a child process. Without,
-            a damaged file can end this process.
+        verify: compare every file with its sha256 first. Without, a damaged file can end this process.
 
     Returns:
         The run; its tables are read when they are asked for.

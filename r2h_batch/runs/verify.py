@@ -1,7 +1,7 @@
-"""Finds the files of a run folder that cannot be trusted: damaged, foreign and forged ones.
+"""Finds the files of a run folder that cannot be trusted: damaged and foreign ones.
 
-Digests are compared first. Then a child process opens the files, because a footer can end the process
-that opens it. Files that the child survives are opened here.
+Digests are compared first: nobody opens a shard that is not as its name says, because a flipped bit in a footer can end the
+process that opens it.
 """
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import refused_parquet
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import is_drawn
@@ -32,36 +31,25 @@ class Problem(NamedTuple):
     what: str
 
 
-def problems_of(
-    entries: Collection[Entry], *, number: int | None = None, whole: bool = False
-) -> list[Problem]:
+def problems_of(entries: Collection[Entry], *, number: int | None = None) -> list[Problem]:
     """The files of methods that cannot be trusted.
 
     Args:
         entries: the methods.
         number: look at this shard only.
-        whole: decode every column in the child process; else open the footers alone.
     """
     found: list[Problem] = []
-    sound = [stored for entry in entries for stored in _named(entry, number, found)]
-    files = [stored.path for stored in sound]
-    try:
-        refused = refused_parquet(files, whole=whole)
-    except FileError as error:
-        raise RunError(str(error)) from None
-    for stored in sound:
-        if what := refused.get(stored.path) or _wrong_rows(stored):
+    for stored in [stored for entry in entries for stored in _named(entry, number, found)]:
+        if what := _wrong_rows(stored):
             found.append(Problem(stored.method, stored.shard, stored.path, what))
     return found if number is not None else [*found, *side_problems(entries)]
 
 
 def side_problems(entries: Iterable[Entry]) -> list[Problem]:
-    """The files beside the shards that nobody should read."""
+    """The files beside the shards that nobody should read. No digest in their names tells damage, and a flipped bit in a
+    footer can end the process that opens it: so another process opens them first."""
     each = [(entry, path) for entry in entries for path in side_files(entry)]
-    try:
-        refused = refused_parquet([path for _, path in each if not in_the_way(path)])
-    except FileError as error:
-        raise RunError(str(error)) from None
+    refused = refused_parquet([path for _, path in each if not in_the_way(path)])
     return [
         Problem(entry.name, None, path, what)
         for entry, path in each
@@ -91,8 +79,7 @@ def _named(entry: Entry, number: int | None, found: list[Problem]) -> Iterable[S
 def _wrong_rows(stored: StoredShard) -> str:
     """The fault of a shard's receipt or trials; empty if it has none.
 
-    A digest finds damage; this finds rows of other trials that somebody stored under a digest to
-    match. `results reevaluate` finds a forged verdict.
+    A digest finds damage; this finds rows of other trials. `results reevaluate` finds other verdicts.
     """
     first, last = stored.shard.first, stored.shard.last
     try:
@@ -134,9 +121,9 @@ def not_as_planned(
     return f"{missing} planned trials are missing" if every and missing else ""
 
 
-def first_problem(folder: Path, entries: Sequence[Entry], *, whole: bool = False) -> str:
+def first_problem(folder: Path, entries: Sequence[Entry]) -> str:
     """The first shard that cannot be trusted, as one line with what to do; empty: there is none."""
-    for problem in problems_of(entries, whole=whole):
+    for problem in problems_of(entries):
         beside = problem.file.parent.name in SIDE_FOLDERS
         if problem.shard is not None or beside:
             then = HOW.format(problem.file.parent.name).partition("`")[2]

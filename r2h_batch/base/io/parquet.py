@@ -29,9 +29,6 @@ from r2h_batch.base.io.tables import MAX_WORD
 SECONDS, BYTES_A_SECOND = 60, 10_000_000
 """CPU time of the child: some for the start, and some for the bytes of the files."""
 
-MOST_FATAL = 20
-"""Files of one folder that may end their reader before the folder is given up."""
-
 _MODULE = "r2h_batch.base.io.parquet"
 _COPY, _MAGIC = "copy it again", b"PAR1"
 
@@ -91,49 +88,36 @@ def _check_ends(file: BinaryIO, where: str) -> None:
         )
 
 
-def refused_parquet(paths: Sequence[Path], *, whole: bool = False) -> dict[Path, str]:
+def refused_parquet(paths: Sequence[Path]) -> dict[Path, str]:
     """The files that nobody should open in this process, and what is wrong with each.
 
-    A child process opens them one after the other. A file that ends the child is found by halves.
+    A child process opens their footers one after the other; one that ends it is found by a child for each.
 
     Args:
         paths: Parquet files.
-        whole: decode every column; else open the footers alone.
-
-    Raises:
-        FileError: too many of the files end their reader.
     """
-    refused: dict[Path, str] = {}
-    left, fatal = [list(paths)] if paths else [], 0
-    while left:
-        some = left.pop()
-        try:
-            answers = _looked_at(some, whole=whole)
-        except FileError as error:
-            if len(some) > 1:
-                half = len(some) // 2
-                left += [some[half:], some[:half]]
-                continue
-            answers, fatal = [str(error)], fatal + 1
-            if fatal > MOST_FATAL:
-                words = f"more than {MOST_FATAL} files end the process that reads them"
-                raise FileError(f"{printable(some[0].parent)}: {words}") from None
-        refused |= {path: what for path, what in zip(some, answers) if what}
-    return refused
+    if not paths:
+        return {}
+    try:
+        answers = _looked_at(paths)
+    except FileError as error:
+        if len(paths) > 1:
+            return {k: what for path in paths for k, what in refused_parquet([path]).items()}
+        answers = [str(error)]
+    return {path: what for path, what in zip(paths, answers, strict=True) if what}
 
 
-def _looked_at(paths: Sequence[Path], *, whole: bool) -> list[str]:
+def _looked_at(paths: Sequence[Path]) -> list[str]:
     """The fault of each file as one child process sees them, empty if it has none; `FileError` if the child does not live."""
-    size = sum(p.stat().st_size for p in paths)
     with tempfile.TemporaryFile() as names:
         names.write(json.dumps([str(p) for p in paths]).encode())
         names.seek(0)
         (answers,) = read_in_child(
             _MODULE,
             names,
-            {"whole": whole},
+            {"look": True},
             count=1,
-            seconds=SECONDS + size // BYTES_A_SECOND,
+            seconds=SECONDS,
             doing=f"looking at {len(paths)} Parquet files",
         )
     return [str(a) for a in answers]
@@ -143,9 +127,8 @@ def _looked_at(paths: Sequence[Path], *, whole: bool) -> list[str]:
 
 
 def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
-    if "whole" in options:
-        paths = [Path(p) for p in json.loads(data)]
-        return [np.array([_wrong(path, whole=options["whole"]) for path in paths], np.str_)]
+    if "look" in options:
+        return [np.array([_wrong(Path(p)) for p in json.loads(data)], np.str_)]
     try:
         found, counts = _arrays(io.BytesIO(data), **options)
     except (OSError, pa.ArrowException) as error:
@@ -158,13 +141,11 @@ def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
     return [np.array(about), *found.values(), *counts.values()]
 
 
-def _wrong(path: Path, *, whole: bool) -> str:
+def _wrong(path: Path) -> str:
     """The reason to refuse a file; empty where there is none."""
     try:
         with pq.ParquetFile(path, page_checksum_verification=True) as file:
             check_decoded_size(file, sys.maxsize, "")
-            for name in file.schema_arrow.names if whole else ():
-                file.read(columns=[name], use_threads=False)
     except (OSError, pa.ArrowException, MemoryError) as error:
         return f"cannot be read ({' '.join(printable(error).split())[:200]})"
     return ""

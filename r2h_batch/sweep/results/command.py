@@ -21,7 +21,6 @@ from r2h_batch.sweep.results.rethreshold import rethreshold
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
 
-LISTED_FILES = 6
 LISTED = 200
 """Differences of one method that are printed; the count covers all of them."""
 
@@ -29,9 +28,9 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (picked, reception, viewed) that are too large, of other trials, or not as they were written
-    are set aside. The last line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1:
-    the same sweep will score some shards again, or a file was set aside.
+    Files beside the shards (picked, reception, viewed) that are damaged, too large or of other trials are set aside. The last
+    line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will
+    score some shards again, or a file was set aside.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -44,7 +43,11 @@ def verify(folder: Path, /) -> int:
     print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
     run = load_run(folder, verify=False)
     lines += (strange := _strange_side_files(run))
-    print("\n".join([*strange, _unchecked(run)]))
+    unchecked = (
+        f"not checked: verdicts and margins (r2h-batch results reevaluate {folder} judges rows again);"
+        " figures of files beside the shards; times, host, device; names in ids.csv"
+    )
+    print("\n".join([*strange, unchecked]))
     for name in run.unfinished:
         missing = [str(s.index) for s in run.missing(name)]
         shown = ", ".join(missing[:10]) + (", ..." if len(missing) > 10 else "")
@@ -68,24 +71,6 @@ def _strange_side_files(run: "Run") -> list[str]:
                 what = str(error).removeprefix(f"{path}: ").partition("; take")[0]
                 lines.append(set_aside(Problem(entry.name, None, path, what)))
     return lines
-
-
-def _unchecked(run: "Run") -> str:
-    """The line about all that `verify` does not check."""
-    from r2h_batch.runs.side import side_files
-
-    place, files = run.folder, [p for entry in run.entries for p in side_files(entry)]
-    shown = ", ".join(str(p.relative_to(place)) for p in files[:LISTED_FILES])
-    more = f" and {len(files) - LISTED_FILES} more" if len(files) > LISTED_FILES else ""
-    believed = (
-        f"; what {shown}{more} say about the run's trials (take them away: r2h-batch results makes them anew)"
-        if files
-        else ""
-    )
-    return (
-        f"not checked: verdicts and margins (r2h-batch results reevaluate {place} judges rows again); times, host, device;"
-        f" names in ids.csv{believed}"
-    )
 
 
 def digest(folder: Path, /) -> int:
@@ -115,7 +100,7 @@ def reevaluate(
 ) -> int:
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
 
-    A forged row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
+    A changed row gets another verdict, even if receipt and sha256 agree with it. Built-in methods
     answer the same trials again: that finds poses of another method. Built-in policies play closed
     loops again. Your own methods and policies do not run. Exit code 0: no row differs. Exit code 1:
     a row differs, or a shard must be scored again.
