@@ -29,7 +29,7 @@ APART = {
 APART |= {"meshes", "attacks", "strangers", "pick", "whole", "growth"}
 APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
-LONG = {"families", "judge_again", "judge_physics", "learn"}
+LONG = {"families", "judge_again", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
 OF_OTHERS = {"release", "scanned", "scans", "vendors"}
 """Benches that need files that nobody may commit: `make bench` takes them only if it is given these (RELEASE=, SCANNED=,
