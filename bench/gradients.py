@@ -3,7 +3,7 @@
 python bench/gradients.py [--trials N] [--json FILE]
 
 cost: median seconds of a pose call with its backward pass, less those of the call alone, by turns, for each candidate; random
-candidates of r2h-v1, whose person is a hand (margins of arm and torso have no gradient). page: the first block of
+candidates of r2h-v1. page: the first block of
 docs/gradients.md, as printed. refine: examples/refine_poses.py on N trials of each split.
 """
 

@@ -10,7 +10,6 @@ while they answer, so they are upper bounds, no methods. Random pairs stand besi
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -96,16 +95,16 @@ class Sampler:
         x = self.model.poses(known.flatten(0, 1), self.random).view(*pick.shape, 9)
         return (T_obj_ee, self._world(x, middle)), x, middle
 
-    def guided(self, judge: Evaluator, steps: int) -> Poses:
+    def guided(self, steps: int) -> Poses:
         """One sample each, whose pose's numbers climb the judge's soft score; the best on the way is kept."""
         (T_obj_ee, _), x, middle = self.generated(1)
-        trials = judge.benchmark.trials_with_ids(self.trials.trial_id)  # the same ones, as its judge asks for them
         z = x.detach().requires_grad_(True)
         climb = torch.optim.Adam([z], lr=0.12, betas=(0.8, 0.95))
         best, kept = torch.full((len(z),), -torch.inf), z.detach().clone()
         for _ in range(steps):
             T_world_ee = self._world(z, middle)
-            scores = judge.score(T_obj_ee[:, 0].contiguous(), T_world_ee[:, 0].contiguous(), trials, "pose")
+            poses = T_obj_ee[:, 0].contiguous(), T_world_ee[:, 0].contiguous()
+            scores = self.evaluator.score(*poses, self.trials, "pose")
             soft = scores.soft(temperature_m=TEMPERATURE_M, log=True)
             better = soft.detach() > best
             best = torch.where(better, soft.detach(), best)
@@ -182,7 +181,6 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
     start = time.process_time()
     benchmark = load_benchmark(BENCHMARK)
     evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
-    of_hand = Evaluator(replace(benchmark, receiver="hand"))  # margins to arm and torso have no gradient
     trials = benchmark.trials(args.trials)
     sampler = Sampler(model, evaluator, trials, args.seed + 1)
     k = args.candidates
@@ -192,7 +190,7 @@ def main(argv: list[str] | None = None) -> dict[str, object]:
         "generator": (many[0][:, :1], many[1][:, :1]),
         f"best of {k} random": sampler.best(some),
         f"best of {k}": sampler.best(many),
-        f"guided, {k} steps": sampler.guided(of_hand, k),
+        f"guided, {k} steps": sampler.guided(k),
     }
     core["sample"] = time.process_time() - start
     rates = judged(evaluator, ways, trials)

@@ -24,7 +24,7 @@ import warnings
 from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 from jaxtyping import Float, Float32, Int
@@ -47,7 +47,7 @@ from r2h_batch.judge.distance import (
     person_distance,
     person_distance_at,
 )
-from r2h_batch.judge.goal import Goal, failed_clearance, judge_goals, weaken_singular_reason
+from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.ik import IkResult, home_posture, nearest_turns, one_branch, solve_ik
 from r2h_batch.judge.inputs import (
     Stages,
@@ -64,29 +64,19 @@ from r2h_batch.prepared import Prepared
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.training import torch_op
-from r2h_batch.types import CRITERIA, GivenScores, PlanReason, ScoreInputs, Scores, Trials
+from r2h_batch.training.gradients import differentiable
+from r2h_batch.types import GivenScores, PlanReason, ScoreInputs, Scores, Trials
 
 if TYPE_CHECKING:
     from r2h_batch.judge.pick import Picked
     from r2h_batch.judge.plan import Plan
     from r2h_batch.judge.trace import Trace
-    from r2h_batch.training.first_order import Changes
 
-# Stages of paths, motions and gradients are imported where they are called: with their kernels and
-# MuJoCo they would take a fifth of the time to the first verdict on a pose.
+# Stages of paths and motions are imported where they are called: with their kernels and MuJoCo they
+# would take a fifth of the time to the first verdict on a pose.
 
 SMALL_ROWS = 255
 """CPU pose calls up to SMALL_ROWS rows are recorded and replayed (`base.launch.repeated`)."""
-
-
-class JudgedPoses(NamedTuple):
-    """Results for poses without a path."""
-
-    held: AttachedBatch
-    goal: Goal
-    nearest: NearestApproach
-    found: dict[str, Tensor]  # fields of `Scores`
-    changes: "Changes | None" = None  # only if a pose requires a gradient
 
 
 class Evaluator(Prepared):
@@ -147,11 +137,12 @@ class Evaluator(Prepared):
         T_obj_ee, T_world_ee, trials = self._known_inputs.checked(
             self.scene, T_obj_ee, T_world_ee, trials, stages
         )
-        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+        check_receiver(self.config, trials)
         if stages == "all" and _differentiates(T_obj_ee, T_world_ee):
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
-            if self.benchmark.asks:  # the operator has the columns of the five criteria alone
+            # the operator has the columns of the five criteria alone, and no bodies
+            if self.benchmark.asks or self.config.receiver == "body":
                 return torch.compiler.disable(self.score)(
                     T_obj_ee, T_world_ee, trials, stages, keep_motion=keep_motion
                 )
@@ -164,7 +155,12 @@ class Evaluator(Prepared):
         with busy("judging") if first else nullcontext(), self.working():
             check_indices(self.scene, trials)
             compile_stages(self.scene, paths=stages == "all")
-            scores = self._score(T_obj_ee, T_world_ee, trials, stages, keep_motion)
+            scores = self._score(
+                T_obj_ee.detach(), T_world_ee.detach(), trials, stages, keep_motion
+            )
+            if stages == "pose" and _differentiates(T_obj_ee, T_world_ee):
+                judge = partial(self.score, stages="pose")
+                scores = differentiable(judge, scores, (T_obj_ee, T_world_ee), trials)
             if first and (words := self.hint(scores, T_obj_ee, T_world_ee, trials)):
                 warnings.warn(words, stacklevel=3)
             # Copies: an optimizer's step in place must not change the stored inputs, from which
@@ -244,7 +240,7 @@ class Evaluator(Prepared):
             self.scene, T_obj_ee, T_world_ee, trials, "all"
         )
         T_obj_ee = T_obj_ee.detach()
-        check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+        check_receiver(self.config, trials)
 
         def chunk(first: int, last: int) -> Scores:
             rows = slice(first, last)
@@ -451,53 +447,15 @@ class Evaluator(Prepared):
 
     def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
         """The stages of `_score_planned` that need no path."""
-        poses = T_obj_ee, T_world_ee
         of_trials = trials._tensors()
         of_trials.pop("person", None)  # no stage looks at it
-        inputs = (*(T.detach() for T in poses), *of_trials.values())
-        inputs = tuple(x.contiguous() for x in inputs)
-        differentiates = _differentiates(*poses)
-        judge = self._judge_pose_and_changes if differentiates else self._judge_pose
-        small = 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda and not self.benchmark.asks
-        if differentiates:
-            from r2h_batch.training.gradients import FOLLOWED, differentiable
+        inputs = tuple(x.contiguous() for x in (T_obj_ee, T_world_ee, *of_trials.values()))
+        if 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda and not self.benchmark.asks:
+            kept = self._small_calls(self._judge_pose, *inputs)
+            return pose_scores(trials.trial_id, {name: x.clone() for name, x in kept.items()})
+        return pose_scores(trials.trial_id, self._judge_pose(*inputs))
 
-            # torch differentiates criteria of FOLLOWED at the callers' tensors
-            small = small and not FOLLOWED
-        if small:
-            calls = self._small_gradients if differentiates else self._small_calls
-            judged = calls(judge, *inputs)
-            found = {name: x.clone() for name, x in judged.found.items()}
-            change = judged.changes and judged.changes.copy()
-        else:
-            judged = judge(*inputs)
-            found, change = judged.found, judged.changes
-        held, goal = judged.held, judged.goal
-        scores = pose_scores(trials.trial_id, found)
-        if change is not None:
-            return differentiable(
-                self.scene, self.config, scores, poses, change, held, goal, judged.nearest
-            )
-        return scores
-
-    def _judge_pose_and_changes(self, *inputs: Tensor) -> "JudgedPoses":
-        """As `_judge_pose`, with how the margins change."""
-        from r2h_batch.training.gradients import changes
-
-        judged, pick = self._judge_pose(*inputs), None
-        if "pick" in self.benchmark.asks:
-            from r2h_batch.training.pick_change import pick_change
-
-            _, _, *of_trials = inputs
-            trials, margin_m = Trials(*of_trials), judged.found["margin"][:, len(CRITERIA)]
-            T_world_obj = self._moments(judged.held, trials)
-            pick = pick_change(
-                self.scene, judged.held.T_obj_ee, T_world_obj, trials, judged.held.active, margin_m, judged.found["pick"]
-            )  # fmt: skip
-        found = changes(self.scene, self.config, judged.found, judged.held, judged.goal, pick)
-        return judged._replace(changes=found)
-
-    def _judge_pose(self, *inputs: Tensor) -> "JudgedPoses":
+    def _judge_pose(self, *inputs: Tensor) -> dict[str, Tensor]:
         """Results of `_score_pose` for poses and trials, field by field; it launches
         mostly kernels, so small calls can be recorded."""
         scene, config = self.scene, self.config
@@ -525,7 +483,7 @@ class Evaluator(Prepared):
         found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
         if person is not None:
             found["body_m"] = person[0]
-        return JudgedPoses(held, goal, nearest, found)
+        return found
 
     def _judge(
         self,

@@ -99,10 +99,7 @@ class Prepared(ABC):
     def _begin(self) -> None:
         """The state of this object alone: its number for torch.compile, and what calls keep."""
         self.handle = torch_op.register(self)
-        self._small_calls, self._small_gradients = (
-            RepeatedCalls(SIZES_KEPT),
-            RepeatedCalls(SIZES_KEPT),
-        )
+        self._small_calls = RepeatedCalls(SIZES_KEPT)
         self._known_inputs = KnownInputs()
 
     @property
@@ -114,7 +111,7 @@ class Prepared(ABC):
         """The state of a copy or pickle: all but the handle and what calls keep. Copies share the scene's tables, which
         nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
         equal."""
-        own = ("handle", "kinematic", "_small_calls", "_small_gradients", "_known_inputs")
+        own = ("handle", "kinematic", "_small_calls", "_known_inputs")
         return {k: v for k, v in self.__dict__.items() if k not in own}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -168,8 +165,6 @@ class Prepared(ABC):
         T_obj_ee, T_world_ee = executed_poses(
             self.config, self.scene.objects, T_obj_ee, T_world_ee, trials
         )
-        if stages == "all":  # a path's margins have no gradient here
-            T_obj_ee, T_world_ee = T_obj_ee.detach(), T_world_ee.detach()
         score_chunk = (
             self._score_pose
             if stages == "pose"
@@ -196,7 +191,7 @@ class Prepared(ABC):
         """`score` of tensors whose shapes are known to fit."""
         with self.working():
             check_indices(self.scene, trials)
-            check_receiver(self.config, trials, (T_obj_ee, T_world_ee))
+            check_receiver(self.config, trials)
             return self._score(T_obj_ee, T_world_ee, trials, stages)
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:

@@ -118,8 +118,6 @@ PICK, LINE, T_PICK = "r2h_batch/judge/pick.py", "kernels/plan/line.py", "tests/j
 STRAIGHT_WAY = "r2h_batch/judge/straight_way.py"
 T_FOLLOWED = f"{T_PICK}::test_a_line_is_followed_from_branch_to_nearest_branch_at_any_turn_within_limits"
 T_OFF = f"{T_PICK}::test_a_branch_that_takes_the_gripper_off_the_line_is_not_followed"
-T_PICK_CHANGE = "tests/training/test_pick_change.py"
-T_LEAVES = f"{T_PICK_CHANGE}::test_a_gripper_that_is_nearest_to_a_side_of_the_table_leaves_by_that_side"
 T_CLOSING, FINGERS = "tests/judge/test_fingers_way.py", "r2h_batch/judge/fingers_way.py"
 T_WAY_IN = f"{T_CLOSING}::test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it"
 T_HEIGHTS = f"{T_CLOSING}::test_no_closing_finger_is_lower_on_a_part_of_its_way_than_is_said_nor_much_higher"
@@ -288,20 +286,6 @@ MUTATIONS = (
         "T[:, 1:, 2, 3] += m",
         "T[:, 1:, 1, 3] += m",
         (T_WAYS,),
-    ),
-    Mutation(
-        "pick: a box in the table leaves by the table's sides alone",
-        "r2h_batch/training/pick_change.py",
-        "torch.cat([sides, -sides, boxes, -boxes], 1)",
-        "torch.cat([sides, -sides, sides, -sides], 1)",
-        (T_LEAVES,),
-    ),
-    Mutation(
-        "pick: the table's corner moves with a box",
-        "r2h_batch/training/pick_change.py",
-        "torch.where((side < 6)[:, None], of_body, of_table)",
-        "of_body",
-        (T_LEAVES,),
     ),
     Mutation(
         "pick: the lift goes the way in",
@@ -2181,13 +2165,6 @@ MUTATIONS = (
         '"piece_round": (np.full(len(center), room), wp.float32),',
         '"piece_round": (np.zeros(len(center)), wp.float32),',
         ("tests/judge/test_followed.py::test_a_scene_with_room_keeps_it_from_hand_and_person_alone",),
-    ),
-    Mutation(
-        "Pick's gradient: of the grasp in the world",
-        "r2h_batch/training/pick_change.py",
-        "return se3.matmul(T_world_obj.mT, change)",
-        "return change",
-        ("tests/training/test_pick_change.py::test_derivatives_are_those_of_differences",),
     ),
     Mutation(
         "a film of the draft tells the verdict before the arm is there",

@@ -7,20 +7,6 @@ from r2h_batch.kernels.options import OPTIONS
 wp.set_module_options(OPTIONS)
 
 
-@wp.func(inline=False)
-def clip_edge(p: float, q: float, low: float, high: float, t0: float, t1: float):
-    """[t0, t1] cut to where low <= p + t (q - p) <= high (t0 > t1: nowhere)."""
-    if (p < low and q < low) or (p > high and q > high):
-        t0 = 2.0
-    elif p < low or q < low or p > high or q > high:
-        d = q - p
-        u = (low - p) / d
-        v = (high - p) / d
-        t0 = wp.max(t0, wp.min(u, v))
-        t1 = wp.min(t1, wp.max(u, v))
-    return t0, t1
-
-
 @wp.func
 def corner(i: int, half_x: float, z_low: float, z_high: float):
     """x, z of the prism's corner line i = 0 .. 3."""

@@ -64,13 +64,6 @@ def table_at(g: Gripper, row: int, gap: float) -> wp.vec3:
 
 
 @wp.func
-def table_slope(g: Gripper, row: int, gap: float) -> wp.vec3:
-    """How a row of the table changes per metre of opening."""
-    i, _t = table_interval(g, gap)
-    return (g.table[row, i + 1] - g.table[row, i]) / g.table_step
-
-
-@wp.func
 def drive_from_gap(g: Gripper, gap: float) -> float:
     """Drive angle (rad) at which the pads are `gap` (m) apart, clipped to its range."""
     if g.samples > 0:

@@ -169,9 +169,8 @@ def check_benchmark(benchmark: Benchmark, trials: Trials) -> None:
         )
 
 
-def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tensor]) -> None:
-    """Raises ValueError where `receiver="body"` and trials have none, or for a gradient that does
-    not exist."""
+def check_receiver(config: EvalConfig, trials: Trials) -> None:
+    """Raises ValueError where `receiver="body"` and trials have none, or one that is no body."""
     if trials.receiver is not None:
         check_tensor(
             "trials.receiver", trials.receiver, f"None or a torch tensor ({len(trials)}, 5, 4)"
@@ -202,10 +201,6 @@ def check_receiver(config: EvalConfig, trials: Trials, poses: tuple[Tensor, Tens
                 f"trials.receiver of row {row} has NaN, infinity or a number beyond {MOST_M:g} m, or a size that"
                 " is not above 0; take a benchmark of people, or receiver='hand'"
             )
-    if torch.is_grad_enabled() and any(T.requires_grad for T in poses):
-        raise ValueError(
-            "receiver is 'body': its margins have no gradient; score with receiver='hand' for training"
-        )
 
 
 def check_asks(benchmark: Benchmark, config: EvalConfig) -> None:

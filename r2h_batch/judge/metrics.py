@@ -27,7 +27,6 @@ from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import (
     CRITERIA,
-    CRITERION,
     EVERY,
     CriterionEntry,
     MarginKind,
@@ -96,12 +95,6 @@ def judge(evidence: Evidence) -> list[Criterion]:
     """The benchmark's criteria, in the order of their columns; evaluated where they concern the object."""
     entries = EVERY[: len(CRITERIA) + len(evidence.scene.benchmark.asks)]
     return [_criterion(entry, evidence) for entry in entries]
-
-
-def margin_of(name: str, evidence: Evidence) -> Float32[Tensor, " b"]:
-    """The margin of one criterion, in its unit."""
-    margin: Tensor = _function(CRITERION[name])(evidence).margin
-    return margin
 
 
 def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:

@@ -106,7 +106,7 @@ def picked(
     T_obj_ee, T_world_obj, trials = checked_inputs(
         scene, T_obj_ee, T_world_obj, trials, "pose", second="T_world_obj"
     )
-    check_receiver(scene.config, trials, (T_obj_ee, T_world_obj))
+    check_receiver(scene.config, trials)
     check_indices(scene, trials)
     one_thread = one_torch_thread(torch.device(scene.device))
     with one_thread, busy("picks"), progress("picked", len(trials), "trials") as told:

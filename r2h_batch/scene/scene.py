@@ -156,17 +156,6 @@ class Scene:
         return (*arm, *self.robot.gripper.names, "object")
 
     @cached_property
-    def body_links(self) -> NDArray[np.int64]:
-        """The link that carries each robot body (order of `part_names`): 0 base, one a
-        joint, gripper."""
-        return np.concatenate(
-            [
-                self.robot.arm.link[self.tables.arm_order],
-                np.full(len(self.robot.gripper.names), len(self.robot.joints) + 1),
-            ]
-        ).astype(np.int64)
-
-    @cached_property
     def T_wrist_ee(self) -> NDArray[np.float64]:
         """ee in the wrist_3 frame, float64."""
         return np.asarray(self.robot.T_wrist3_flange @ self.robot.T_flange_ee)

@@ -1,170 +1,159 @@
-"""Margins that can be differentiated: the evaluator's own numbers forward, first-order changes at
-the witnesses backward.
+"""Margins that can be differentiated: the evaluator's own numbers forward, its own differences backward.
 
-Where margins have kinks: docs/gradients.md. A witness attains a margin, and its motion gives the change
-to first order (Danskin):
-
-    Stability, width      the two outermost points of material between the pads; on a wall of the pads'
-                          prism, where that wall cuts the surface. Of T_obj_ee; the opening is the
-                          fixed point of width and pad height
-    Stability, clearance  the object's point nearest to, or deepest in, a primitive of the open gripper
-    Reach                 the object's point nearest to c_h. Of both poses, and how closing shifts the object
-    Affordance            nearest points of finger and receiver's region. Of T_obj_ee, shift and opening
-    Plan, goal            the nearest pair at the goal and its separating direction. Object and gripper
-                          move with the ee frame, arm links with the inverse Jacobian of the branch, or
-                          the pseudo-inverse
-    Plan, unreachable     the residual in closed form: wrist centre out of reach, or too near to the
-                          base's axis. Arms without a closed form: what the nearest posture misses
-    Plan, start           the nearest pair at home. Of T_obj_ee
-    Safe                  nearest points of the hand's mesh and a robot primitive at the goal; as Plan
-    Pick, grasp           nearest points of the open gripper, table and person. Of T_obj_ee
-    Pick, unreachable     as Plan, of the grasp where the object rests
-    any other criterion   torch follows the poses through its function in judge/metrics.py
+The backward pass nudges each pose along the six twists of the ee frame, forward and back, and asks the evaluator for the
+margins again: 12 rows for a row and a pose that asks. So every criterion has a gradient on every benchmark, one of another
+package too. The steps are as large as those of a search: a margin is a minimum over many bodies, and its slope at a point says
+little about the way out.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import torch
 from jaxtyping import Bool, Float, Float32
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
-from r2h_batch.base import se3
-from r2h_batch.base.launch import cpu_threads, over_trials
-from r2h_batch.base.launch.threads import on_threads, one_torch_thread
-from r2h_batch.base.soft import with_gradient
-from r2h_batch.config import EvalConfig
-from r2h_batch.judge import metrics
-from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
-from r2h_batch.judge.distance import NearestApproach
-from r2h_batch.judge.goal import Goal
-from r2h_batch.kernels.witness.change import poses_gradient
-from r2h_batch.scene.scene import Scene
-from r2h_batch.training import first_order, witnesses
-from r2h_batch.types import CRITERIA, Scores
+from r2h_batch.base import se3, twist
+from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.types import Scores, Trials
+from r2h_batch.verdicts import REGISTRY, UNITS
 
-FOLLOWED = tuple(name for name in CRITERIA if name not in first_order.WITNESSED)
-"""Criteria without witnesses: torch follows the poses through their functions."""
+STEP_M, STEP_RAD = 3e-3, 3e-2
+"""Half the length of a difference [choice]: a step of gradient ascent is about as long (docs/gradients.md)."""
 
+STEEPEST = 1.5
+"""Margins change by no more for a metre, or for a radian [choice]: no body of the gripper is much faster than the ee. Where a
+search finds another posture, margins jump."""
 
-def changes(
-    scene: Scene,
-    config: EvalConfig,
-    found: dict[str, Tensor],
-    held: AttachedBatch,
-    goal: Goal,
-    pick: Float32[Tensor, "b 4 4"] | None = None,
-) -> first_order.Changes:
-    """How the margins of B poses change around them; kernels alone.
+ROWS = 4096
+"""Rows whose neighbours are judged together: bounds the memory, whatever the batch."""
 
-    Args:
-        scene: robot, objects and hands.
-        config: limits.
-        found: fields of `Scores` of the poses.
-        held: B trials.
-        goal: their goals.
-        pick: (B, 4, 4) of Pick's margin, by T_obj_ee (`pick_change`); None: the benchmark does not ask for it.
-    """
-    decided_by = witnesses.find(scene, config, found, held, goal)
-    made = first_order.changes_at(scene, found, held, goal, decided_by)
-    if pick is None:
-        return made
-    margin = torch.zeros((*found["margin"].shape, 2, 4, 4), dtype=torch.float32, device=pick.device)
-    margin[:, : len(CRITERIA)] = made.margin
-    margin[:, len(CRITERIA), 0] = pick
-    return replace(made, margin=margin)
+Judge = Callable[[Tensor, Tensor, Trials], Scores]
+"""The pose stage of B rows, without gradients."""
 
 
 def differentiable(
-    scene: Scene,
-    config: EvalConfig,
-    scores: Scores,
-    poses: tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]],
-    change: first_order.Changes,
-    held: AttachedBatch,
-    goal: Goal,
-    nearest: NearestApproach,
+    judge: Judge, scores: Scores, poses: tuple[Tensor, Tensor], trials: Trials
 ) -> Scores:
-    """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses; rows
-    that are no poses do not.
+    """`scores` of stages="pose", bit for bit, with margins that lead back to the two poses.
 
     Args:
-        scene: robot, objects and hands.
-        config: limits.
-        scores: of B poses.
-        poses: T_obj_ee and T_world_ee as they were given, with their history.
-        change: `changes`.
-        held: B trials.
-        goal: their goals.
-        nearest: where the robot comes nearest to the receiver.
+        judge: what made them.
+        scores: of B rows.
+        poses: (B, 4, 4) T_obj_ee and T_world_ee as they were given, with their history, m.
+        trials: B trials.
     """
-    first_order_only = [FirstOrderOnly.apply(T) for T in poses]
-    moved: Tensor = _Moved.apply(*first_order_only, change.margin, scores.evaluated, scene.device)
-    if FOLLOWED:
-        slip_m = scores.slip_m.double() if config.stability == "physics" else None
-        active = held.active[:, None, None]
-        T_obj_ee, T_world_ee = (
-            torch.where(active, T, clean)
-            for T, clean in zip(first_order_only, (held.T_obj_ee, held.T_world_ee), strict=True)
-        )
-        # closing shifts the object along the ee's y
-        shift = (change.shift * (T_obj_ee - T_obj_ee.detach())).sum((1, 2)) + held.grasp.shift_m
-        R, p = T_obj_ee[:, :3, :3], T_obj_ee[:, :3, 3]
-        attached = se3.from_rotation(R, p + R[:, :, 1] * shift[:, None])
-        evidence = metrics.Evidence(
-            scene,
-            config,
-            replace(held, T_obj_ee=T_obj_ee, T_world_ee=T_world_ee, attached=attached),
-            goal.free,
-            held.active,
-            goal.clearance_m,
-            goal.reason,
-            nearest,
-            slip_m,
-        )
-        zero = torch.zeros_like(scores.margin[:, 0])
-        followed = [metrics.margin_of(k, evidence) if k in FOLLOWED else zero for k in CRITERIA]
-        followed += [zero] * (scores.margin.shape[1] - len(CRITERIA))
-        moved = moved + torch.where(scores.evaluated, torch.stack(followed, 1), 0.0)
-    return replace(scores, margin=with_gradient(scores.margin, moved))
+    first_order_only = (FirstOrderOnly.apply(T) for T in poses)
+    margin: Tensor = _ByDifferences.apply(
+        *first_order_only, scores.margin, scores.evaluated, judge, trials
+    )
+    return replace(scores, margin=margin)
 
 
-class _Moved(torch.autograd.Function):
-    """Zeros (B, C) that change with two poses as margins do."""
+def by_differences(
+    judge: Judge,
+    poses: tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]],
+    trials: Trials,
+    gradient: Float32[Tensor, "b c"],
+    asks: tuple[bool, bool] = (True, True),
+) -> tuple[Tensor | None, Tensor | None]:
+    """Gradient with respect to the entries (B, 4, 4) of the poses. Rows that nobody asks for are not judged, and have zeros.
+
+    Args:
+        judge: the pose stage.
+        poses: T_obj_ee and T_world_ee, m.
+        trials: B trials.
+        gradient: with respect to the margins; 0 for those that were not evaluated.
+        asks: which of the two poses wants one; None for the other.
+    """
+    wanted = [k for k in range(2) if asks[k]]
+    made = {k: torch.zeros_like(poses[k]) for k in wanted}
+    with one_torch_thread(poses[0].device):
+        both = torch.stack([T.detach().float() for T in poses], 1)
+        for rows in torch.nonzero(gradient.any(1)).flatten().split(ROWS):
+            slopes = _slopes(judge, both[rows], trials[rows], gradient[rows], wanted)
+            found = _of_entries(both[rows][:, wanted], slopes)
+            for i, k in enumerate(wanted):
+                made[k][rows, :3] = found[:, i].to(made[k].dtype)
+    return made.get(0), made.get(1)
+
+
+def _slopes(
+    judge: Judge,
+    both: Float32[Tensor, "n 2 4 4"],
+    trials: Trials,
+    gradient: Float32[Tensor, "n c"],
+    wanted: list[int],
+) -> Float32[Tensor, "n w 6"]:
+    """How what is differentiated changes along each twist of each wanted pose, per m and per rad."""
+    n, device, asking = len(both), both.device, len(wanted)
+    half = torch.tensor([STEP_M] * 3 + [STEP_RAD] * 3, dtype=torch.float32, device=device)
+    ways = torch.stack([half.diag(), -half.diag()])
+    unmoved = torch.eye(4, dtype=torch.float32, device=device).expand(2, 6, 4, 4)
+    nudges = twist.retract(unmoved, ways).expand(n, 2, 6, 4, 4)
+    # (n, wanted, 2 ways, 6 twists, 2 poses, 4, 4): one of the two poses is nudged
+    nudged = both[:, None, None, None].repeat(1, asking, 2, 6, 1, 1, 1)
+    for i, k in enumerate(wanted):
+        nudged[:, i, :, :, k] = se3.matmul(nudged[:, i, :, :, k], nudges)
+    asked = nudged.view(n * asking * 12, 2, 4, 4)
+    of_rows = torch.arange(n, dtype=torch.int64, device=device).repeat_interleave(asking * 12)
+    scores = judge(asked[:, 0].contiguous(), asked[:, 1].contiguous(), trials[of_rows])
+    margin = torch.where(scores.evaluated, scores.margin, 0.0)
+    margin = margin.view(n, asking, 2, 6, gradient.shape[1])
+    change = (margin[:, :, 0] - margin[:, :, 1]).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
+    total = torch.zeros((n, asking, 6), dtype=torch.float32, device=device)
+    for c in range(change.shape[-1]):  # in a fixed order: the same bits at any batch size
+        worth_m = UNITS[REGISTRY[c].unit].worth_m if c < len(REGISTRY) else 1.0
+        most = 2 * half * STEEPEST / worth_m
+        slope = torch.minimum(torch.maximum(change[..., c], -most), most)
+        total = total + slope * gradient[:, c, None, None]
+    return total / (2 * half)
+
+
+def _of_entries(
+    poses: Float32[Tensor, "n w 4 4"], slopes: Float32[Tensor, "n w 6"]
+) -> Float32[Tensor, "n w 3 4"]:
+    """The gradient with respect to the poses' upper three rows whose part along twists is `slopes`: R v
+    for the place, R [w] / 2 for the rotation."""
+    v, w = slopes[..., :3], slopes[..., 3:]
+    axes = torch.eye(3, dtype=torch.float32, device=poses.device)
+    turn = torch.stack([se3.cross(0.5 * w, axis.expand_as(w)) for axis in axes], -1)
+    return se3.matmul(poses[..., :3, :3], torch.cat([turn, v[..., None]], -1))
+
+
+class _ByDifferences(torch.autograd.Function):
+    """The margins, bit for bit."""
 
     @staticmethod
     def forward(
         ctx: Any,
-        T_obj_ee: Tensor,
-        T_world_ee: Tensor,
-        change: Float32[Tensor, "b c 2 4 4"],
+        T_obj_ee: Float[Tensor, "b 4 4"],
+        T_world_ee: Float[Tensor, "b 4 4"],
+        margin: Float32[Tensor, "b c"],
         evaluated: Bool[Tensor, "b c"],
-        device: str,
+        judge: Judge,
+        trials: Trials,
     ) -> Tensor:
-        ctx.save_for_backward(change, evaluated)
-        ctx.device, ctx.dtypes = device, (T_obj_ee.dtype, T_world_ee.dtype)
-        ctx.threads = (
-            cpu_threads()
-        )  # `backward` is called outside of the evaluator, on a thread of torch's choice
-        return torch.zeros_like(evaluated, dtype=change.dtype)
+        # copies: an optimizer's step in place may come before the way back
+        ctx.asked = judge, (T_obj_ee.clone(), T_world_ee.clone()), trials, evaluated
+        return margin.clone()
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *gradient: Tensor) -> tuple[Tensor | None, ...]:
-        change, evaluated = ctx.saved_tensors
-        with one_torch_thread(ctx.device), on_threads(ctx.threads):
-            made = over_trials(poses_gradient, len(change), ctx.device, chunk=ROWS_CHUNK)(
-                gradient=gradient[0].detach().contiguous(), change=change, evaluated=evaluated
-            )
-        dtypes = ctx.dtypes
-        return made["T_obj_ee"].to(dtypes[0]), made["T_world_ee"].to(dtypes[1]), None, None, None
+        judge, poses, trials, evaluated = ctx.asked
+        of_margins = torch.where(evaluated, gradient[0], 0.0)
+        asks = ctx.needs_input_grad[0], ctx.needs_input_grad[1]
+        return *by_differences(judge, poses, trials, of_margins, asks), None, None, None, None
 
 
 class FirstOrderOnly(torch.autograd.Function):
     """The same poses, with a gradient that cannot be differentiated again.
 
-    `changes` is right to first order only: of its own second derivatives one would learn nothing
-    about the margins. (`once_differentiable` would let them pass where the incoming gradient is a
-    constant.)
+    Differences are no function of the poses that torch knows. (`once_differentiable` lets second derivatives pass, as zeros,
+    where the incoming gradient is a constant.)
     """
 
     @staticmethod

@@ -1,8 +1,8 @@
 """Scoring as one opaque operator for torch.compile: r2h_batch::score, with shapes but no work for
 tracing."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import fields
+from functools import partial
 from itertools import count
 from typing import Any, Protocol
 from weakref import WeakValueDictionary
@@ -12,6 +12,7 @@ from torch import Tensor
 
 from r2h_batch.judge.inputs import Stages
 from r2h_batch.kernels.plan.codes import WAYPOINTS
+from r2h_batch.training.gradients import by_differences
 from r2h_batch.types import CRITERIA, Scores, Trials
 
 
@@ -116,24 +117,14 @@ def score_backward_op(
     margin_gradient: Tensor,
     evaluator: int,
 ) -> list[Tensor]:
-    """Gradient of the margins with respect to the two poses; scores once more to find the
-    witnesses."""
+    """Gradient of the margins with respect to the two poses, by differences."""
     trials = Trials(trial_id, object_index, hand_index, T_world_hand)
-    stream = torch.cuda.current_stream(T_obj_ee.device) if T_obj_ee.is_cuda else None
-
-    def differentiate() -> list[Tensor]:
-        with torch.enable_grad(), torch.cuda.stream(stream):
-            poses = T_obj_ee.detach().requires_grad_(), T_world_ee.detach().requires_grad_()
-            margin = _scorers[evaluator].score(*poses, trials, "pose").margin
-        gradients = torch.autograd.grad(margin, poses, margin_gradient, allow_unused=True)
-        return [
-            torch.zeros_like(p) if g is None else g.contiguous()
-            for g, p in zip(gradients, poses, strict=True)
-        ]
-
-    # Inside an operator autograd is switched off for this thread, whatever enable_grad says
-    with ThreadPoolExecutor(1) as aside:
-        return aside.submit(differentiate).result()
+    judge = partial(_scorers[evaluator].score, stages="pose")
+    evaluated = judge(T_obj_ee, T_world_ee, trials).evaluated
+    wanted = torch.where(evaluated, margin_gradient, 0.0)
+    g, h = by_differences(judge, (T_obj_ee, T_world_ee), trials, wanted)
+    assert g is not None and h is not None  # both were asked for
+    return [g, h]
 
 
 @score_backward_op.register_fake

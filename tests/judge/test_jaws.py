@@ -12,10 +12,8 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.judge.motion.execute import FINGER_GIVE_M, execute
 from r2h_batch.judge.motion.time_law import time_path
-from r2h_batch.methods.candidates import candidates_in
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at, load_robot
-from r2h_batch.training import witnesses
 
 LINKAGE = load_robot()
 JAWS, TABLE = with_jaws(LINKAGE), with_table(LINKAGE)
@@ -83,21 +81,3 @@ def test_fingers_of_a_table_close_where_the_linkage_does():
     # the pads' height is off by micrometres: on a slope or at a step of the object this is as much again
     assert torch.equal(found.width_m.isnan(), exact.width_m.isnan()) and float(off.quantile(0.95)) < 3e-5
     assert float(off.max()) < 2e-3 and int((exact.opening_m < 0.08).sum()) > 30
-
-
-def test_derivatives_of_a_table_are_those_of_the_linkage():
-    """Chords for arcs: slopes differ by half a sample's turn, 0.008, and more where the linkage is near its dead centre."""
-    lifts, fingers = [], []
-    grasps = candidates_in(Evaluator(load_benchmark("r2h-v1").on(LINKAGE)).scene)[
-        :6
-    ]  # each gripper has its own; one set is compared
-    T = torch.from_numpy(np.concatenate([c.T_obj_ee[::4] for c in grasps]))
-    index = torch.arange(6, dtype=torch.int32).repeat_interleave(25)
-    for robot in (TABLE, LINKAGE):
-        scene = Evaluator(load_benchmark("r2h-v1").on(robot)).scene
-        grasp = close_gripper(scene.grasp_tables, T, index)
-        lifts.append(witnesses.closing(scene, T, index, grasp.width_m, grasp.opening_m)["lift"])
-        bound = torch.where(grasp.opening_m > 0, 0.01, -torch.inf)
-        fingers.append(witnesses.fingers(scene, T, index, grasp.opening_m, bound, region=False)["finger"])
-    assert float((lifts[0] - lifts[1]).abs().quantile(0.95)) < 0.02 < float(lifts[1].std())
-    assert float((fingers[0] - fingers[1]).norm(dim=1).quantile(0.9)) < 0.02 < float(fingers[1].std())

@@ -1,46 +1,15 @@
-"""Slopes of the evaluator's margins: by its gradients, and by finite differences of its own float32 numbers."""
-
-from dataclasses import dataclass
+"""Slopes of the evaluator's margins along twists: by its gradients, and by differences of its own numbers, asked one by one."""
 
 import torch
 from problems import Batch, make_batch
 
 from r2h_batch.base import se3, twist
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.training.gradients import STEEPEST, STEP_M, STEP_RAD
 from r2h_batch.types import Scores
 
-LEVER_M = 0.05
-"""Slopes per radian are compared times this: they then are of order 1, like those per metre."""
-
-STEPS = torch.tensor(([1e-4] * 3 + [1e-3] * 3) * 2)
-"""Steps of the differences, m and rad."""
-SCALE = torch.tensor(([1.0] * 3 + [LEVER_M] * 3) * 2)
-
-
-@dataclass(frozen=True)
-class Slopes:
-    """Scores (without gradients), and slopes (B, 5, 12) along the twists of T_obj_ee and T_world_ee, scaled by SCALE."""
-
-    scores: Scores
-    gradient: torch.Tensor
-    measured: torch.Tensor
-    bend: torch.Tensor  # how far slopes to both sides differ: large at kinks
-    same_reason: torch.Tensor  # Plan's reason is the same in all of these poses
-
-    def smooth(self, criterion: int) -> torch.Tensor:
-        """Rows (B,) whose margin has no kink within the steps of the differences."""
-        finite = torch.isfinite(self.measured[:, criterion]).all(1)
-        flat = self.bend[:, criterion].amax(1) < 0.02
-        return self.scores.evaluated[:, criterion] & finite & flat & self.same_reason
-
-    def error(self, criterion: int) -> torch.Tensor:
-        """Largest difference (B,) of any slope."""
-        return (self.gradient - self.measured)[:, criterion].abs().amax(1)
-
-    def plateau(self, criterion: int) -> torch.Tensor:
-        """Rows (B,) whose margin does not change: capped, or as deep as that number goes (depths are known to 5 um)."""
-        least = torch.where(self.scores.margin[:, criterion] < 0, 0.03, 1e-3)
-        return self.measured[:, criterion].abs().amax(1) < least
+STEPS = torch.tensor(([STEP_M] * 3 + [STEP_RAD] * 3) * 2)
+"""Half of each difference, m and rad."""
 
 
 def candidates(evaluator: Evaluator, n: int, *, seed: int = 3) -> Batch:
@@ -53,38 +22,31 @@ def candidates(evaluator: Evaluator, n: int, *, seed: int = 3) -> Batch:
 
 
 def gradients(evaluator: Evaluator, batch: Batch) -> tuple[Scores, torch.Tensor]:
-    """Scores with gradients, and the margins' slopes (B, 5, 12) along twists (m and rad)."""
+    """Scores with gradients, and the margins' slopes (B, C, 12) along twists (m and rad)."""
     poses = batch.T_obj_ee.clone().requires_grad_(), batch.T_world_ee.clone().requires_grad_()
     scores = evaluator.score(*poses, batch.trials, stages="pose")
     rows = []
-    for c in range(5):
+    for c in range(scores.margin.shape[1]):
         chosen = torch.where(scores.evaluated[:, c], scores.margin[:, c], 0.0).sum()
         found = torch.autograd.grad(chosen, poses, retain_graph=True)
         rows.append(torch.cat([twist.tangent(T.detach(), d) for T, d in zip(poses, found, strict=True)], 1))
     return scores, torch.stack(rows, 1)
 
 
-def measured_slopes(evaluator: Evaluator, batch: Batch) -> Slopes:
-    """Both kinds of slopes of all margins; 25 calls of the evaluator."""
-    n = len(batch)
-    scores = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages="pose")
-    _, gradient = gradients(evaluator, batch)
-    measured, bend = torch.zeros(n, 5, 12), torch.zeros(n, 5, 12)
-    same = torch.ones(n, dtype=torch.bool)
+def measured_slopes(evaluator: Evaluator, batch: Batch) -> torch.Tensor:
+    """Differences of the margins (B, C, 12) along twists, per m and rad, within what a gradient says at most."""
+    n, found = len(batch), []
     for j in range(12):
-        xi = torch.zeros(12)
-        xi[j] = STEPS[j]
-        ahead, behind = (
-            evaluator.score(
-                twist.retract(batch.T_obj_ee, (sign * xi[:6]).expand(n, 6)).contiguous(),
-                twist.retract(batch.T_world_ee, (sign * xi[6:]).expand(n, 6)).contiguous(),
-                batch.trials,
-                stages="pose",
+        sides = []
+        for sign in (1.0, -1.0):
+            xi = torch.zeros(12)
+            xi[j] = sign * STEPS[j]
+            poses = (
+                twist.retract(T, part.expand(n, 6)).contiguous()
+                for T, part in zip((batch.T_obj_ee, batch.T_world_ee), xi.split(6), strict=True)
             )
-            for sign in (1.0, -1.0)
-        )
-        scale = SCALE[j] / STEPS[j]
-        measured[:, :, j] = (ahead.margin - behind.margin) * (0.5 * scale)
-        bend[:, :, j] = (ahead.margin + behind.margin - 2 * scores.margin).abs() * scale
-        same &= (ahead.plan_reason == scores.plan_reason) & (behind.plan_reason == scores.plan_reason)
-    return Slopes(scores, gradient * SCALE, measured, bend, same)
+            scores = evaluator.score(*poses, batch.trials, stages="pose")
+            sides.append(torch.where(scores.evaluated, scores.margin, 0.0).double())
+        change = (sides[0] - sides[1]) / (2 * float(STEPS[j]))
+        found.append(torch.where(change.isfinite(), change.clamp(-STEEPEST, STEEPEST), 0.0))
+    return torch.stack(found, -1)

@@ -1,1 +1,0 @@
-"""Where a margin is attained, and its first-order change."""
