@@ -1,6 +1,7 @@
 """The table "Where do I change" of CONTRIBUTING, done as a user would in copies of the tree: each change touches two files
 of the package at most, shipped rows are read as before, and runs are compared with them."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -434,16 +435,24 @@ def test_a_strangers_family_is_drawn_listed_swept_and_judged_again_without_a_fil
     report(tree)
     assert tree.run(READ) == shipped
     tree.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
+    assert list(plugins_of(tree)) == ["family.vase"] and plugins_of(tree)["family.vase"]["package"] == "strange"
+
+
+def plugins_of(tree: Tree) -> dict[str, dict[str, str]]:
+    """Additions of other packages that run.json of the tree's run names."""
+    return json.loads((tree.folder / "run" / "run.json").read_text()).get("plugins", {})
 
 
 def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(tmp_path: Path) -> None:
     pytest.importorskip("manifold3d")
     own = changed_tree(tmp_path / "own", {}, package={"vases.py": VASE})
     own.run(f"{READ}\nFAMILY = 'vases:VASE'\n{USE_VASE}{NAMED_VASE}")
+    assert plugins_of(own)["family.vase"]["module"] == "vases"
     ours = changed_tree(tmp_path / "ours", {"r2h_batch/scene/families/vases.py": VASE})
     report(ours)
     assert len(ours.changed) == 1
     ours.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
+    assert not plugins_of(ours)
 
 
 NEAR = '''"""Benchmark r2h-near: children whose hands are 5 cm lower than they would hold them."""
