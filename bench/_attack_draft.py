@@ -39,8 +39,7 @@ def runs() -> Path:
     os.chdir(folder)
     with redirect_stdout(io.StringIO()):
         command(["sweep", "--benchmark", "r2h-v1", "--method", "oracle", *SHORT, "--save-paths", "--out", "run"])
-        for name in ("picked", "reception", "viewed"):
-            command(["results", name, "run"])
+        command(["results", "reception", "run"])
         command(["sweep", "--benchmark", DRAFT, "--method", "random", *SHORT, "--out", "draft"])
     os.chdir(here)
     return folder
@@ -70,7 +69,7 @@ def then(*words: str) -> Callable[[Path], int]:
 
 
 def sealed(change: Callable[[Any], Any]) -> Damage:
-    """Another table beside the shards, with the metadata that it had: somebody who knows our code."""
+    """Another table beside the shards, written as ours: somebody who knows our code."""
 
     def damage(path: Path) -> None:
         import pyarrow.parquet as pq
@@ -78,9 +77,8 @@ def sealed(change: Callable[[Any], Any]) -> Damage:
         from r2h_batch.runs.side import side_writer
 
         table = pq.read_table(path, partitioning=None)
-        about = {k: json.loads(v) for k, v in (table.schema.metadata or {}).items() if k.startswith(b"r2h_batch")}
         new = change(table.replace_schema_metadata(None))
-        with side_writer(path, new.schema, about) as writer:
+        with side_writer(path, new.schema) as writer:
             writer.write(new)
 
     return damage
@@ -455,8 +453,6 @@ def kinds() -> dict[str, Kind]:
     """The kinds of this file."""
     return {
         "reception": beside("reception", "received", "report", "RUN"),
-        "viewed": beside("viewed", "viewed", "report", "RUN"),
-        "picked": beside("picked", "picked", "results", "picked", "RUN"),
         "answers to the draft": Kind(".npz", draft_answers, swept, ANSWERS),
         "trials for the draft": Kind(".npz", draft_trials, listed, MOMENTS),
         "progress.json": Kind(".json", of_run("progress.json"), resumed, {**JSON, **LEFT}),

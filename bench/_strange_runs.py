@@ -337,10 +337,6 @@ SIDES: dict[str, Attack] = {
     "a word that is a tag": side("reception", lambda n: {"word": [TAG] * n}),
     "efforts of NaN": side("reception", lambda n: {"effort": [float("nan")] * n}),
     "1,000 more columns": side("reception", lambda n: {f"x{k}": [0] * n for k in range(1000)}),
-    "viewed: a share of 2": side("viewed", lambda n: {"share": [2.0] * n}),
-    "picked: reasons that are tags": side(
-        "picked", lambda n: {"pick_reason": [TAG] * n, "picked": [True] * n, "pick_m": [1.0] * n}
-    ),
     "reception: 10^9 grasps": side("reception", lambda n: {"grasps": [10**9] * n, "reception": [1.0] * n}),
 }
 

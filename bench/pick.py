@@ -1,8 +1,8 @@
 """How many stored grasps could be picked from the table, by method and cause, and what judging that costs: docs/results/pick.md.
 
-`python bench/pick.py` judges the shipped rows of r2h-v2 as `results picked` does, measures with own code how far the open
-gripper reaches below the table's top, and takes the time of both stages beside that of a kinematic trial. `--render` writes the
-page again from the JSON.
+`python bench/pick.py` judges the grasps of the shipped rows of r2h-v2 (`r2h_batch.judge.picked`), measures with own code how far
+the open gripper reaches below the table's top, and takes the time of both stages beside that of a kinematic trial. `--render`
+writes the page again from the JSON.
 """
 
 import argparse
@@ -13,6 +13,8 @@ from typing import Any
 import numpy as np
 import torch
 from _report import ROOT, made_by, markdown_table, page_from
+
+from r2h_batch.verdicts import PickReason
 
 PAGE = ROOT / "docs" / "results" / "pick.md"
 RUN = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
@@ -26,6 +28,27 @@ MEASURES = (
     "r2h_batch/observe/moment.py",
     "r2h_batch/scene/resting.py",
 )
+CAUSES = {
+    "reach": (PickReason.OUT_OF_REACH,),
+    "grasp": (PickReason.GRASP_COLLIDES,),
+    "straight way": (PickReason.NO_STRAIGHT_WAY,),
+    "way in": (PickReason.APPROACH_COLLIDES,),
+    "pads": (PickReason.NOTHING_BETWEEN_PADS, PickReason.NOT_HELD),
+    "closing": (PickReason.CLOSING_COLLIDES,),
+    "lift": (PickReason.LIFT_COLLIDES,),
+    "path": (
+        PickReason.START_IN_COLLISION,
+        PickReason.BEFORE_COLLIDES,
+        PickReason.NO_PATH_IN_BUDGET,
+        PickReason.NOT_EVALUATED,
+        PickReason.PATH_COLLIDES,
+    ),
+}
+"""Columns of the table, and the reasons that each counts."""
+GOING_IN = (PickReason.GRASP_COLLIDES, PickReason.APPROACH_COLLIDES)
+"""Reasons of which the table says what is met."""
+MET = {"table": "table", "hand": "person", "self": "itself", "object_robot": "object"}
+"""Pairs of the grasp and the way in, and what is met."""
 TIMED = 512
 CHECKED_FROM, CHECKED = 100, 10
 """Rows of each method that other code judges again: this many from this one on."""
@@ -38,7 +61,8 @@ HEAD = """# Picking from the table: results
 
 A trial of r2h-v2 begins with the object in the gripper. `python bench/pick.py` asks of every stored grasp whether the arm could
 have got it there ([Pick](../pick.md)). It took {trials} trials of each method (bench/results/pick.json, commit {commit}, load
-{load:g} at the start). For your method run `r2h-batch results picked runs/mine`.
+{load:g} at the start). A sweep of [r2h-v3-draft](../pick.md#the-draft-r2h-v3) asks
+your method for it.
 
 Percent of the trials. A grasp that fails counts once, in the stage that fails first. Brackets: 95 %, Wilson.
 
@@ -113,10 +137,11 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     from r2h_batch.judge.pick import Picked, picked
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results.picked import CAUSES, GOING_IN, MET
     from r2h_batch.sweep.results.reevaluation import Judge
     from r2h_batch.types import CollidingPair
 
+    listed = [r for of in CAUSES.values() for r in of]
+    assert sorted(listed) == sorted(set(PickReason) - {PickReason.OK}), "each reason in one column"
     run = load_run(RUN)
     judge = Judge(run)
     scene = judge.evaluator.scene
@@ -180,7 +205,6 @@ def markdown(data: Any) -> str:
     """The page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
-    from r2h_batch.sweep.results.picked import CAUSES, MET
 
     methods = data["methods"]
     short = short_names(list(methods))

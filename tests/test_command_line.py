@@ -22,8 +22,6 @@ NESTED = (
     "results reevaluate",
     "results rethreshold",
     "results reception",
-    "results picked",
-    "results viewed",
     "study ratings",
     "study real",
 )

@@ -24,7 +24,6 @@ APART = {
     "observe",
     "observe_export",
     "sees",
-    "viewed",
 }
 APART |= {"meshes", "attacks", "strangers", "pick", "whole", "growth"}
 APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}

@@ -43,7 +43,7 @@ REFUSED = (
     ("real export RUN --trials 3,99999 --out OUT/x", "the run has no trial 99999"),
     ("export RUN --to r2handoversim --method randm --out OUT/x", NO_METHOD),
     ("export RUN --to r2handoversim --out OUT/x", SEVERAL),
-    *((f"results {name} RUN --method randm", NO_METHOD) for name in ("picked", "viewed", "reception")),
+    ("results reception RUN --method randm", NO_METHOD),
 )
 
 

@@ -55,7 +55,6 @@ T_RELEASE = (
 )
 TAKEN = "r2h_batch/judge/reception.py"
 T_RAYS = "tests/observe/test_rays.py"
-T_EYES, T_VIEWED = "tests/observe/test_eyes.py", "tests/sweep/results/test_viewed.py"
 T_ROBUST = "tests/methods/test_robust.py"
 T_BELIEVED = "tests/methods/test_believed.py"
 SENSOR, T_SENSOR = "kernels/observe/sensor.py", "tests/observe/test_sensor.py"
@@ -419,13 +418,6 @@ MUTATIONS = (
         "return gap + s * (shut[row] - gap)",
         "return gap + 0.0 * s * (shut[row] - gap)",
         (T_SAMPLED,),
-    ),
-    Mutation(
-        "pick: a table of another seed is kept",
-        "r2h_batch/sweep/results/picked.py",
-        '"seed": seed, ',
-        '"seed": 0, ',
-        ("tests/sweep/results/test_picked.py::test_a_table_of_the_same_rows_is_kept_and_one_of_another_seed_is_made_anew",),
     ),
     Mutation(
         "the pendant counts in the frame of ROS 2",
@@ -2340,62 +2332,6 @@ MUTATIONS = (
         "    at = int(y) * sensor[0] + int(x)",
         "    at = wp.min(int(y) + 1, sensor[1] - 1) * sensor[0] + int(x)",
         (f"{T_RAYS}::test_a_background_that_is_kept_changes_no_bit",),
-    ),
-    Mutation(
-        "eyes: one of them is closed",
-        "kernels/observe/eyes.py",
-        "    for e in range(EYES):",
-        "    for e in range(1):",
-        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
-    ),
-    Mutation(
-        "eyes: what faces them is the far side",
-        "kernels/observe/eyes.py",
-        "if wp.dot(normal, d) < 0.0:",
-        "if wp.dot(normal, d) > 0.0:",
-        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
-    ),
-    Mutation(
-        "eyes: the robot hides nothing",
-        "kernels/observe/eyes.py",
-        "            return ROBOT",
-        "            return 0",
-        (f"{T_EYES}::test_points_are_hidden_by_what_mujocos_rays_and_float64_triangles_meet_first",),
-    ),
-    Mutation(
-        "eyes: at the height of the shoulders",
-        "r2h_batch/observe/eyes.py",
-        "between[:, 2] += half[:, 2] + UP_M + UP_SHARE * arm",
-        "between[:, 2] += half[:, 2]",
-        (f"{T_EYES}::test_eyes_are_where_those_of_the_built_in_people_are",),
-    ),
-    Mutation(
-        "eyes: small faces have as many points as large ones",
-        "r2h_batch/observe/eyes.py",
-        "upto = np.cumsum(area)",
-        "upto = np.cumsum(np.ones_like(area))",
-        (f"{T_EYES}::test_a_regions_points_lie_on_it_evenly",),
-    ),
-    Mutation(
-        "viewed: the object lies as before the pads met it",
-        "r2h_batch/sweep/results/viewed.py",
-        "attached = attach(se3.orthonormalise(grasp[rows]), scores.grasp_shift_m[rows])",
-        "attached = se3.orthonormalise(grasp[rows])",
-        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
-    ),
-    Mutation(
-        "viewed: of rows out of reach too",
-        "r2h_batch/sweep/results/viewed.py",
-        'CRITERIA.index("stability")] & (off < THERE)',
-        'CRITERIA.index("stability")]',
-        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
-    ),
-    Mutation(
-        "viewed: of all rows with a region",
-        "r2h_batch/sweep/results/viewed.py",
-        "rows = torch.nonzero(held & scores.presented_angle_deg.isfinite())[:, 0]",
-        "rows = torch.nonzero(scores.presented_angle_deg.isfinite())[:, 0]",
-        (f"{T_VIEWED}::test_the_object_is_where_the_pads_have_moved_it_and_what_is_not_held_out_has_no_row",),
     ),
     Mutation(
         "cameras: a side of the table faces up",

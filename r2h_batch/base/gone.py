@@ -12,6 +12,8 @@ GONE = {
     "submit": "hand over the run folder; `results reevaluate RUN` judges its rows again",
     "figures": "use view RUN --strips FILE with --trial ID, or with --one-of-each",
     "report --perceived": "use study ratings FILE.csv, for ratings of your own",
+    "results picked": "sweep with --benchmark r2h-v3-draft, which asks for it, or call r2h_batch.judge.picked (docs/pick.md)",
+    "results viewed": "report has Presented, which says whether the receiver sees the part",
     "study comfort": "use study ratings FILE.csv",
     "study rated": "use study ratings FILE.csv; r2h-batch trials writes poses, results reception what the person could take",
     "study trials": "use r2h-batch trials for poses, results reception for what the person could take",

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 from r2h_batch.base.package import lazy_names
 
 if TYPE_CHECKING:
-    from r2h_batch.observe.eyes import View, view
     from r2h_batch.observe.moment import moments
     from r2h_batch.observe.rig import Rig, load_rig
     from r2h_batch.observe.seeing import look, observe, whole_images
@@ -16,12 +15,10 @@ __all__ = [
     "Images",
     "Observation",
     "Rig",
-    "View",
     "load_rig",
     "look",
     "moments",
     "observe",
-    "view",
     "whole_images",
 ]
 
@@ -33,12 +30,10 @@ if not TYPE_CHECKING:  # else any name would pass
             "LABELS": "seen",
             "Observation": "seen",
             "Rig": "rig",
-            "View": "eyes",
             "load_rig": "rig",
             "look": "seeing",
             "moments": "moment",
             "observe": "seeing",
-            "view": "eyes",
             "whole_images": "seeing",
         },
     )

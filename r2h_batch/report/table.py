@@ -28,7 +28,6 @@ from r2h_batch.report.statistics.shares import (
     PICK,
     SHARES,
     THROUGH,
-    VIEWED,
     Share,
 )
 from r2h_batch.report.statistics.tally import Tally, tally
@@ -51,7 +50,6 @@ from r2h_batch.report.text import (
 )
 from r2h_batch.report.trained import sentences
 from r2h_batch.report.turn import MARK, Turned, about, turned
-from r2h_batch.report.viewed import view_rates
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import IN_ORDER, NO_LONGER, SPLITS, UNITS, CriterionEntry
@@ -96,8 +94,8 @@ FEW_NOTE = (
 )
 
 
-ASKED_FOR = (PICK, VIEWED)
-"""Shares without a column in tables that have none: of methods that are told the truth, and before `results viewed`."""
+ASKED_FOR = (PICK,)
+"""Shares without a column in tables that have none: of methods that are told the truth."""
 
 BEST_NOTE = (
     "Bold: best rate of a split whose methods all answered the same trials and were judged alike; of a failure only where no"
@@ -250,13 +248,13 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
-    for name, rates in ((PICK, pick_rates(run)), (VIEWED, view_rates(run))):
-        rows = tuple(
-            replace(row, shares={**row.shares, name: rates[row.split, row.method]})
-            if (row.split, row.method) in rates
-            else row
-            for row in rows
-        )
+    rates = pick_rates(run)
+    rows = tuple(
+        replace(row, shares={**row.shares, PICK: rates[row.split, row.method]})
+        if (row.split, row.method) in rates
+        else row
+        for row in rows
+    )
     misses = dict.fromkeys(filter(None, (_misses(r.header) for r in runs)))
     planned = (
         line for r in runs for line in motions_left_out(r.header.get("motions_left_out", {}))

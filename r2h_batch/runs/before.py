@@ -9,7 +9,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.runs.columns import UNREAD
 from r2h_batch.verdicts import NO_LONGER
 
-FOLDERS = ("held", "transfer")
+FOLDERS = ("held", "picked", "transfer", "viewed")
 """Files beside the shards, which commands of 0.3 made."""
 _told: set[tuple[Path, str]] = set()
 

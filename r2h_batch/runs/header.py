@@ -42,8 +42,8 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 chunk, so a dictionary stores them in less than a bit a trial."""
 
 FOLDERS = ("shards", "methods", "quarantine", ".claims")
-SIDE_FOLDERS = ("picked", "reception", "viewed")
-"""Folders of a run; a link in the place of one is refused. The last four hold a file for each method (side.py)."""
+SIDE_FOLDERS = ("reception",)
+"""Folders of a run; a link in the place of one is refused. The last one holds a file for each method (side.py)."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
 MAX_TEXT = 4096

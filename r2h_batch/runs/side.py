@@ -1,15 +1,13 @@
-"""Files beside the shards, one for each method: RUN/picked, reception and viewed/METHOD.parquet.
+"""Files beside the shards, one for each method: RUN/reception/METHOD.parquet.
 
 `r2h-batch results` makes them of stored rows. Their size is bounded by the rows of the run before they are read. Their pages have
 checksums, the columns that tables read must be there, and their trials must be those of the run.
 """
 
-import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -26,29 +24,15 @@ from r2h_batch.runs.header import SIDE_FOLDERS
 from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.shard import unreadable
 
-
-class Kind(NamedTuple):
-    """The columns that tables read of the files of one folder.
-
-    Attributes:
-        columns: name -> type, `trial_id` among them.
-        gaps: columns that may have gaps.
-    """
-
-    columns: Mapping[str, pa.DataType]
-    gaps: tuple[str, ...] = ()
-
-
-_TRIAL = {"trial_id": pa.int64(), "success": pa.bool_()}
-_YES, _WORD = pa.bool_(), pa.string()
-KINDS = {
-    "picked": Kind(
-        {**_TRIAL, "object": _WORD, "split": _WORD, "picked": _YES, "pick_reason": _WORD, "pick_pair": _WORD},
-        gaps=("pick_pair",),
-    ),
-    "reception": Kind({**_TRIAL, "evaluated": _YES, "received": _YES}),
-    "viewed": Kind({**_TRIAL, "split": _WORD, "viewed": pa.float32()}),
-}  # fmt: skip
+COLUMNS = {
+    "reception": {
+        "trial_id": pa.int64(),
+        "success": pa.bool_(),
+        "evaluated": pa.bool_(),
+        "received": pa.bool_(),
+    },
+}
+"""Folder -> the columns that tables read of its files."""
 
 FREE_BYTES, ROW_BYTES, MOST_BYTES = 16 << 20, 512, 1 << 30
 """Memory that a file may take: some, more for each row that it may have, and never more than the last."""
@@ -56,19 +40,18 @@ HOW = "take the file away; `r2h-batch results {}` makes it anew"
 
 
 @contextmanager
-def side_writer(
-    path: Path, schema: pa.Schema, about: Mapping[bytes, Any] | None = None
-) -> Iterator[pq.ParquetWriter]:
+def side_writer(path: Path, schema: pa.Schema) -> Iterator[pq.ParquetWriter]:
     """A writer of a file that `read_side` reads; the file is there at the end, whole.
 
     Args:
         path: of the file.
         schema: of its rows.
-        about: key -> what the file was made of, as JSON has it.
     """
-    own = schema.with_metadata({k: json.dumps(v).encode() for k, v in (about or {}).items()})
     path.parent.mkdir(exist_ok=True)
-    with atomic_path(path) as new, pq.ParquetWriter(new, own, write_page_checksum=True) as writer:
+    with (
+        atomic_path(path) as new,
+        pq.ParquetWriter(new, schema, write_page_checksum=True) as writer,
+    ):
         yield writer
 
 
@@ -122,46 +105,8 @@ def _most_bytes(trials: int) -> int:
     return min(MOST_BYTES, FREE_BYTES + ROW_BYTES * trials)
 
 
-def about_side(path: Path, made_of: bytes) -> dict[str, Any]:
-    """The rows and code that a file says it was made of; empty: it is missing or no such file.
-
-    Args:
-        path: of the file.
-        made_of: key of its metadata.
-    """
-    if not path.is_file():
-        return {}
-    try:
-        about = json.loads((pq.read_schema(path).metadata or {})[made_of])
-    except (OSError, pa.ArrowException, KeyError, TypeError, ValueError, RecursionError):
-        return {}
-    return about if isinstance(about, dict) else {}
-
-
-def rows_of(path: Path, made_of: bytes) -> str | None:
-    """Digest of the rows that a file was made of, None: it is no such file.
-
-    Args:
-        path: of the file; it may be missing.
-        made_of: key of its metadata.
-    """
-    rows = about_side(path, made_of).get("rows")
-    return None if rows is None else str(rows)
-
-
-def is_kept(path: Path, schema: pa.Schema, trials: int) -> bool:
-    """Whether a file has these columns, and is no larger than its run allows.
-
-    Args:
-        path: of the file; it may be missing.
-        schema: of its rows.
-        trials: of the run.
-    """
-    return path.is_file() and not unbounded(path, trials) and pq.read_schema(path) == schema
-
-
 def read_side(path: Path, trial_id: NDArray[np.int64]) -> pa.Table:
-    """The columns of `KINDS` of a file, after its size is bounded and its trials are compared with the run's.
+    """The `COLUMNS` of a file, after its size is bounded and its trials are compared with the run's.
 
     Args:
         path: of the file, in one of `SIDE_FOLDERS`; it exists.
@@ -170,8 +115,7 @@ def read_side(path: Path, trial_id: NDArray[np.int64]) -> pa.Table:
     Raises:
         RunError: it is damaged, too large, lacks a column, or says something about other trials.
     """
-    kind, how = KINDS[path.parent.name], HOW.format(path.parent.name)
-    columns = kind.columns
+    columns, how = COLUMNS[path.parent.name], HOW.format(path.parent.name)
     try:
         if what := unbounded(path, len(trial_id)):
             raise FileError(what)
@@ -188,15 +132,15 @@ def read_side(path: Path, trial_id: NDArray[np.int64]) -> pa.Table:
         raise RunError(f"{printable(path)}: {error}; {how}") from None
     except (OSError, ValueError, pa.ArrowException) as error:
         raise RunError(f"{unreadable(path, error)}; {how}") from None
-    if what := _not_of_run(table, trial_id, kind):
+    if what := _not_of_run(table, trial_id):
         raise RunError(f"{printable(path)}: {what}; {how}")
     return table
 
 
-def _not_of_run(table: pa.Table, trial_id: NDArray[np.int64], kind: Kind) -> str:
+def _not_of_run(table: pa.Table, trial_id: NDArray[np.int64]) -> str:
     """How a file's rows are not of the run; empty where they are."""
     for name in table.column_names:
-        if name not in kind.gaps and (gaps := table[name].null_count):
+        if gaps := table[name].null_count:
             return f"column {name!r} has {gaps} empty rows"
     ids = table["trial_id"].to_numpy()
     if len(strange := ids[~np.isin(ids, trial_id)]):

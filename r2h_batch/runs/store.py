@@ -7,7 +7,7 @@ methods/METHOD.json                a method, and where its answers come from
 shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
 quarantine/METHOD/000017.json      a shard that failed three times, and its errors
 .claims/METHOD-000017              who works on a shard, and how many processes died at it
-picked/METHOD.parquet              and reception/, viewed/: what `r2h-batch results` made of the rows (side.py)
+reception/METHOD.parquet           what `r2h-batch results` made of the rows (side.py)
 """
 
 import csv
@@ -39,7 +39,7 @@ from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.plugged import lacking
-from r2h_batch.runs.side import is_kept, read_side, side_path
+from r2h_batch.runs.side import read_side, side_path
 from r2h_batch.runs.verify import first_problem
 from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
 
@@ -494,7 +494,7 @@ class Run:
 
         Args:
             method: its name.
-            folder: picked, reception or viewed.
+            folder: reception.
             path: the file; None: that of the method.
 
         Raises:
@@ -504,22 +504,6 @@ class Run:
         if not os.path.lexists(path):
             return None
         return read_side(path, self.trials(method, ["trial_id"])["trial_id"].to_numpy())
-
-    def keeps(self, method: str, path: Path, schema: pa.Schema) -> bool:
-        """Whether a file beside a method's shards is as it was written, with these columns, about the trials of the run.
-
-        Args:
-            method: its name.
-            path: of the file; it may be missing.
-            schema: of its rows.
-        """
-        if not is_kept(path, schema, len(self.trials(method, ["trial_id"]))):
-            return False
-        try:
-            self.side(method, path.parent.name, path)
-        except RunError:
-            return False
-        return True
 
     def verify(self) -> None:
         """Raise `RunError` unless every stored shard is as it was written."""

@@ -12,7 +12,6 @@ from made_runs import with_a_fatal_footer, write_run, write_side
 from r2h_batch.__main__ import main
 from r2h_batch.report.people import RECEPTION
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.side import about_side, is_kept
 from r2h_batch.runs.store import load_run
 
 N = 6
@@ -114,36 +113,10 @@ def test_a_damaged_file_is_one_line_and_verify_sets_it_aside(run, what, capsys):
     assert read(run) is None
 
 
-PICKED = pa.table(
-    {
-        "trial_id": pa.array(range(N), pa.int64()),
-        **{k: pa.array(["x"] * N) for k in ("object", "split", "pick_reason", "pick_pair")},
-        **{k: pa.array([True] * N) for k in ("success", "picked")},
-    }
-)
-OTHERS = {
-    "trials of another run": PICKED.set_column(0, "trial_id", pa.array(range(10, 10 + N), pa.int64())),
-    "a trial twice": PICKED.take([0, *range(N - 1)]),
-    "a gap": PICKED.set_column(PICKED.column_names.index("picked"), "picked", pa.array([None] + [True] * (N - 1))),
-}
-
-
-@pytest.mark.parametrize("what", OTHERS)
-def test_a_table_of_other_trials_is_not_kept(run, what, capsys):
-    stored, path = load_run(run), run / "picked" / "m.parquet"
-    assert not stored.keeps("m", path, PICKED.schema)
-    write_side(path, PICKED, {})
-    assert stored.keeps("m", path, PICKED.schema) and not stored.keeps("m", path, PICKED.schema.remove(1))
-    write_side(path, OTHERS[what], {})
-    assert is_kept(path, PICKED.schema, N) and not stored.keeps("m", path, PICKED.schema)
-    assert main(["results", "verify", str(run)]) == 1 and not path.exists()
-    assert str(path.relative_to(run)) in capsys.readouterr().out
-
-
-def test_what_picked_stores_is_a_file_beside_the_shards_and_no_link(run, capsys):
-    (run / "picked").symlink_to(run.parent)
+def test_a_link_in_the_place_of_the_folder_is_refused(run, capsys):
+    (run / RECEPTION).symlink_to(run.parent)
     assert main(["report", str(run)]) == 2
-    assert "picked" in (said := capsys.readouterr().err) and "symbolic link" in said
+    assert RECEPTION in (said := capsys.readouterr().err) and "symbolic link" in said
 
 
 @pytest.mark.usefixtures("own_process")
@@ -182,10 +155,3 @@ def test_a_sound_file_is_read_and_one_of_an_older_version_too(run, capsys):
     assert main(["results", "verify", str(run)]) == 0
     (line,) = [x for x in capsys.readouterr().out.splitlines() if x.startswith("not checked: ")]
     assert "files beside the shards" in line and "reevaluate" in line
-
-
-def test_about_that_is_no_mapping_or_too_deep_is_of_other_rows(run):
-    path = put(run, table())
-    for text in (b"[1]", b"[" * 100_000, b"7", b"{"):
-        pq.write_table(table().replace_schema_metadata({b"about": text}), path)
-        assert about_side(path, b"about") == {}

@@ -313,8 +313,8 @@ def command(name: str, *runs: Path | str, **options: object) -> int:
     return main([name, *map(str, runs), *(word for flag in flags for word in flag)])
 
 
-def write_side(path, rows, about=None):
-    """A file beside the shards, as a command of ours writes one; `about`: key -> what it was made of."""
-    with side_writer(path, rows.schema.remove_metadata(), about) as writer:
+def write_side(path, rows):
+    """A file beside the shards, as a command of ours writes one."""
+    with side_writer(path, rows.schema.remove_metadata()) as writer:
         writer.write(rows)
     return path

@@ -24,7 +24,7 @@ class Share:
         caption: what is counted, of which rows; a sentence.
         needs: stored columns of trials that it is made of; rows of older versions have null there.
         of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
-            stored column says it (`report.picks`, `report.viewed`).
+            stored column says it (`report.picks`).
     """
 
     heading: str
@@ -48,17 +48,12 @@ def _through(rows: pa.Table) -> pa.ChunkedArray:
 
 
 THROUGH = "through"
-PICK, VIEWED = "pick", "viewed"
+PICK = "pick"
 
 SHARES: Registry[Share] = Registry(
     "share",
     {
         "presented": Share("Presented", "Presented (not in SR).", ("presented",), _presented),
-        VIEWED: Share(
-            "In view",
-            "Mean percent of the receiver's region that the receiver's eyes see at the handover, of rows with a held object and a"
-            " posture that reaches the pose (not in SR).",
-        ),
         "body_met": Share(
             "Body met",
             "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",

@@ -5,8 +5,6 @@ digest RUN        print the digest of each method's rows
 reevaluate RUN    judge a sample of stored rows again from their stored poses
 rethreshold RUN   print the rates at other thresholds
 reception RUN     print how many receivers could take the object
-picked RUN        print how many objects the arm can pick from the table with the stored grasps
-viewed RUN        print how much of the part that they want the receivers see
 """
 
 from collections.abc import Sequence
@@ -28,7 +26,7 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (picked, reception, viewed) that are damaged, too large or of other trials are set aside. The last
+    Files beside the shards (reception) that are damaged, too large or of other trials are set aside. The last
     line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will
     score some shards again, or a file was set aside.
 
@@ -186,63 +184,6 @@ def reception(
     return 0
 
 
-def picked(
-    folder: Path,
-    /,
-    *,
-    method: tuple[str, ...] = (),
-    seed: int = 0,
-    benchmark: BenchmarkChoice = DEFAULT,
-    device: str = "cpu",
-) -> int:
-    """Print how many objects the arm can pick from the table with the stored grasps; write RUN/picked/METHOD.parquet.
-
-    A trial begins with the object in the gripper. The command asks whether the arm could have got it there: from home to 10 cm
-    before the grasp, straight in with the open gripper, close, 10 cm straight up. The object rests on the table, the person
-    waits. The success rate does not depend on it. docs/pick.md has the definitions.
-
-    Args:
-        folder: a run folder, as `r2h-batch sweep --out` writes it.
-        method: only these methods, by the sweep's word (fc) or the table's name.
-        seed: of the draw of where objects rest.
-        benchmark: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N.
-    """
-    check_seed(seed)
-    run = _opened(folder, method, "picked")
-    from r2h_batch.sweep.results import picked as of_table
-
-    print(of_table.render(of_table.write_tables(run, benchmark, device=device, seed=seed)), end="")
-    return 0
-
-
-def viewed(
-    folder: Path,
-    /,
-    *,
-    method: tuple[str, ...] = (),
-    benchmark: BenchmarkChoice = DEFAULT,
-    device: str = "cpu",
-) -> int:
-    """Print how much of the part that they want the receivers see at the handover, and what hides the rest; write
-    RUN/viewed/METHOD.parquet.
-
-    Of the stored rows with a receiver's region (S1), a held object and a posture that reaches the pose. `report` then shows the
-    mean beside Presented. The success rate does not depend on it.
-
-    Args:
-        folder: a run folder, as `r2h-batch sweep --out` writes it.
-        method: only these methods, by the sweep's word (fc) or the table's name.
-        benchmark: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N.
-    """
-    run = _opened(folder, method, "viewed")
-    from r2h_batch.sweep.results import viewed as of_table
-
-    print(of_table.render(of_table.write_tables(run, benchmark, device=device)), end="")
-    return 0
-
-
 def _opened(folder: Path, method: Sequence[str], side: str) -> "Run":
     """The run with these methods. Commands open it before they import what judges, so that a missing one is told at once.
 
@@ -263,6 +204,4 @@ COMMANDS = {
     "reevaluate": reevaluate,
     "rethreshold": rethreshold,
     "reception": reception,
-    "picked": picked,
-    "viewed": viewed,
 }
