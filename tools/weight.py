@@ -1,4 +1,4 @@
-"""What a newcomer has to hold in the head: statements, files, commands, flags, dependencies and pages, beside an earlier commit.
+"""Counts statements, files, commands, flags, dependencies and pages of this tree and of an earlier commit.
 
 python tools/weight.py [COMMIT]        (default: 7d23856b, the commit before "Lighter")
 

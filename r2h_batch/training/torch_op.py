@@ -22,7 +22,7 @@ class Scorer(Protocol):
     scene: Any
 
     def score(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, stages: Stages, /
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
     ) -> Scores:
         """Verdicts of B handovers."""
 
@@ -91,7 +91,7 @@ def score_op(
             "the evaluator of this compiled function is gone: keep a reference to it"
         )
     trials = Trials(trial_id, object_index, hand_index, T_world_hand)
-    scores = _scorers[evaluator].score(T_obj_ee, T_world_ee, trials, stages)  # type: ignore[arg-type]
+    scores = _scorers[evaluator].score(T_obj_ee, T_world_ee, trials, stages=stages)  # type: ignore[arg-type]
     return [getattr(scores, name).clone() for name in RETURNED]
 
 

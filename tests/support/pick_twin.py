@@ -95,7 +95,8 @@ class PickTwin:
     @cached_property
     def ways(self) -> tuple[Array, Array]:
         """Postures of the way in (to the grasp) and up (to the grasp), float64."""
-        return tuple(_between(x.double().numpy()) for x in (self.found.way_in[0], self.found.way_up[0]))
+        way_in, way_up = (x[0].double().numpy() for x in (self.found.way_in, self.found.way_up))
+        return _between(way_in), _between(way_up)
 
     def followed_m(self) -> float:
         """How far the ee is from the straight ways at most, its rotation times 0.2 m included."""
