@@ -2,7 +2,6 @@
 # Without a GPU add --build-arg PIP_EXTRA_INDEX_URL=URL with PyTorch's CPU index, which saves some GB of CUDA packages.
 FROM python:3.12-slim-bookworm
 ARG PIP_EXTRA_INDEX_URL
-# hadolint ignore=DL3008
 RUN apt-get update \
     && apt-get install -y --no-install-recommends chromium git libegl1 libosmesa6 make \
     && rm -rf /var/lib/apt/lists/*
