@@ -65,14 +65,14 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet
 
-BENCHES := throughput training_loop gradients collision ik plan execute growth meshes gates networks observe_export other_side
+BENCHES := throughput training_loop gradients collision ik plan execute growth meshes gates networks observe_export
 BENCH_RUNS := runs/bench-$(shell git rev-parse --short HEAD 2>/dev/null)
 bench: $(VENV)/.installed-test  ## every figure of the pages, measured in one go, and the pages written anew (RELEASE=checkout of the authors' release, VENDORS=folder of robots, SCANNED=folder, SCANS=folder of meshes, ARMS=folder for packages)
 	set -e; for b in $(BENCHES); do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
 	$(BIN)/python bench/soak.py long --json bench/results/long.json
 	$(BIN)/python bench/closed_loop.py --growth 2000
-	set -e; for b in closed_loop reception people coverage object_errors observe sees attacks strangers pick whole; do $(BIN)/python bench/$$b.py; done
-	set -e; for b in robots robustness first_lines; do $(BIN)/python bench/$$b.py --out $(BENCH_RUNS)/$$b; done
+	set -e; for b in closed_loop reception people object_errors observe sees attacks strangers pick whole; do $(BIN)/python bench/$$b.py; done
+	set -e; for b in robots robustness; do $(BIN)/python bench/$$b.py --out $(BENCH_RUNS)/$$b; done
 	$(if $(RELEASE),$(BIN)/python bench/release.py --release $(RELEASE) --json bench/results/release.json,@echo "bench: without RELEASE=checkout bench/results/release.json stays as it is")
 	$(if $(VENDORS),$(BIN)/python bench/vendors.py --files $(VENDORS) --out $(BENCH_RUNS)/vendors --json bench/results/vendors.json,@echo "bench: without VENDORS=folder bench/results/vendors.json stays as it is")
 	$(if $(SCANNED),$(BIN)/python bench/scans.py $(SCANNED) --about bench/scanned.toml,@echo "bench: without SCANNED=folder of the meshes of bench/scanned.toml bench/results/scanned.json stays as it is")

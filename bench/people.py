@@ -1,12 +1,11 @@
 """Receivers of every size: `python bench/people.py` writes bench/results/people.json and docs/results/people.md.
 
 Dimensions of the built-in people beside ANSUR II, success of the built-in methods by group, and what decides Handover-VA's
-plans on a larger hand. Six CPU minutes. `--bodies` prints how people stand and what they measure, and writes nothing.
+plans on a larger hand. Six CPU minutes.
 """
 
 import argparse
 import json
-import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -18,7 +17,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from _bodies import lines
 from _report import made_by, markdown_table, page_from, swept
 from _source import ROOT
 from numpy.typing import NDArray
@@ -510,14 +508,10 @@ def _losses(found: dict[str, Any]) -> str:
 
 def main() -> None:
     """Measures, or writes the page again."""
-    if sys.argv[1:] == ["--bodies"]:
-        print(*lines(), sep="\n")
-        return
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--trials", type=int, default=100, help="of each split")
     parser.add_argument("--only", nargs="+", choices=PARTS, default=(), help="measure these parts, keep the others")
     parser.add_argument("--methods", nargs="+", default=METHODS)
-    parser.add_argument("--bodies", action="store_true", help="alone: print how people stand and what they measure")
     page_from(parser, STORED, PAGE, measure, markdown)
 
 

@@ -12,7 +12,6 @@ from _report import ROOT, markdown_table
 HERE = "docs/results/sources.md"
 ROWS = {
     "closed_loop": "`won` of the JSON: each trial",
-    "coverage": "counts of the JSON",
     "gates": "`bench/options/gates`",
     "networks": "`bench/options/networks`",
     "robots": "`bench/options/robots`",
@@ -24,7 +23,6 @@ ROWS = {
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
-    "first_lines": "bench/first_lines.py --out FOLDER",
     "long": "bench/soak.py long",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",

@@ -155,8 +155,7 @@ Affordance, Safe and the outcome up to there (`tests/support/judge_twin.py`); wh
 
 The first {certified} trials are known to have a whole way by all criteria ([certificates](../pick.md#certificates)). The
 oracle's search found one for all but {redrawn} as they were drawn first. These {redrawn} ({redrawn_share:.1f} %) were drawn
-again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first
-([why three objects are drawn again in every trial](../pick.md#objects-without-a-whole-way)):
+again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first:
 
 {redraws}
 

@@ -17,7 +17,6 @@ ROOT = Path(__file__).resolve().parents[1]
 pytestmark = pytest.mark.check
 APART = {
     "people",
-    "coverage",
     "gates",
     "networks",
     "object_errors",
@@ -26,7 +25,7 @@ APART = {
     "sees",
 }
 APART |= {"meshes", "attacks", "strangers", "pick", "whole", "growth"}
-APART |= {"other_side", "registry_arms", "closed_loop", "reception", "robots", "robustness", "first_lines"}
+APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""

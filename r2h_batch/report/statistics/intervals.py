@@ -10,8 +10,8 @@ from scipy.special import expit, logit, stdtr, stdtrit
 CONFIDENCE = 0.95
 BORROWED = 0.05
 """Weight, in clusters, of the largest variance that clusters can have: that of clusters whose trials all agree. A few clusters
-that happen to be alike say little about the others. In the populations of bench/coverage.py a smaller weight covers less where
-it covers least, and a larger one covers more than 97 % where it covers most."""
+that happen to be alike say little about the others. In the populations of tests/support/interval_coverage.py a smaller weight
+covers less where it covers least, and a larger one covers more than 97 % where it covers most."""
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """Intervals over clusters against statsmodels, scipy and constrained likelihoods; their coverage; tables of equal methods."""
 
 import json
-from pathlib import Path
 
+import interval_coverage as simulated
 import numpy as np
 import pytest
 import statsmodels.api as sm
@@ -13,23 +13,6 @@ from scipy.special import expit, logit
 from r2h_batch.report.statistics import paired as pairing
 from r2h_batch.report.statistics.aggregate import clustered_rate, wilson_interval
 from r2h_batch.report.statistics.intervals import BORROWED, over_clusters, paired_score_interval
-
-ROOT = Path(__file__).resolve().parents[3]
-COUNTS = ROOT / "bench" / "results" / "coverage.json"
-
-
-@pytest.fixture
-def bench(monkeypatch):
-    monkeypatch.syspath_prepend(ROOT / "bench")
-    import coverage
-
-    return coverage
-
-
-@pytest.fixture
-def rows(bench):
-    """Counts of the four methods in r2h-v2's categories."""
-    return json.loads(COUNTS.read_text())["counted"]
 
 
 def clusters(seed, count=9, n=(20, 60)):
@@ -137,15 +120,15 @@ def test_where_no_trial_moves_the_difference_has_an_interval():
 
 
 @pytest.mark.parametrize("count", [6, 10, 16])
-def test_the_interval_for_all_categories_covers_on_both_sides_quickly(bench, count):
-    found = bench.coverage(*bench.beta(bench.BETAS["Beta(8, 2)"]), count, 600)
+def test_the_interval_for_all_categories_covers_on_both_sides_quickly(count):
+    found = simulated.coverage(*simulated.beta(simulated.BETAS["Beta(8, 2)"]), count, 600)
     assert 93 < found["covers"] < 99 and max(found["below"], found["above"]) < 4.5
-    assert found["covers"] > bench.plain_t(*bench.beta(bench.BETAS["Beta(8, 2)"]), count, 600)
+    assert found["covers"] > simulated.plain_t(*simulated.beta(simulated.BETAS["Beta(8, 2)"]), count, 600)
 
 
-def test_a_few_new_categories_lie_in_the_prediction_interval_and_not_in_the_one_for_all(bench, rows):
-    draw, truth = bench.resampled(np.array([r["hits"][2] / r["n"] for r in rows["rows"]]))
-    inside = bench.coverage(draw, truth, 10, 600, few=6)
+def test_a_few_new_categories_lie_in_the_prediction_interval_and_not_in_the_one_for_all():
+    draw, truth = simulated.resampled(np.array([r["hits"][2] / r["n"] for r in simulated.COUNTED["rows"]]))
+    inside = simulated.coverage(draw, truth, 10, 600, few=6)
     assert inside["covers"] > 92
     random, outside = np.random.default_rng(4), 0
     for _ in range(600):
@@ -155,16 +138,16 @@ def test_a_few_new_categories_lie_in_the_prediction_interval_and_not_in_the_one_
 
 
 @pytest.mark.slow
-def test_the_intervals_cover_in_every_population(bench, rows):
+def test_the_intervals_cover_in_every_population():
     """Below 93 % only where the categories measured may show nothing of those that fail."""
     low = {}
-    for name, (draw, truth) in bench.populations(rows["rows"], rows["methods"]).items():
-        for count in bench.CATEGORIES:
-            found = bench.coverage(draw, truth, count, 2000, seed=3)
+    for name, (draw, truth) in simulated.populations(simulated.COUNTED["rows"], simulated.COUNTED["methods"]).items():
+        for count in simulated.CATEGORIES:
+            found = simulated.coverage(draw, truth, count, 2000, seed=3)
             if found["covers"] < 92:
                 low[name, count] = found["covers"]
-            assert found["covers"] > bench.plain_t(draw, truth, count, 2000, seed=3) - 1.5
-            assert bench.coverage(draw, truth, count, 1000, few=6, seed=3)["covers"] > 87
+            assert found["covers"] > simulated.plain_t(draw, truth, count, 2000, seed=3) - 1.5
+            assert simulated.coverage(draw, truth, count, 1000, few=6, seed=3)["covers"] > 87
     missing = ("0.8 Beta(18, 2) + 0.2 Beta(2, 8)", "0.7 Beta(18, 2) + 0.3 Beta(4, 6)", "Beta(0.8, 0.2), two humps")
     seldom = ("Handover-VA, all (16)", "Handover-VA, S1 (10)", "Contact-Handover, all (16)")
     assert {name for name, _ in low} <= {*missing, *seldom} and min(low.values()) > 80
@@ -180,22 +163,22 @@ def equal_methods(random, methods=4, categories=16, n=50):
     return pairing.Paired.of(names, split, objects, success.reshape(methods, -1))
 
 
-def test_equal_methods_are_seldom_called_different_quickly(bench, rows):
+def test_equal_methods_are_seldom_called_different_quickly():
     random = np.random.default_rng(2)
-    found = bench.called([bench.relabelled(rows["rows"], random, 4) for _ in range(120)])
+    found = simulated.called([simulated.relabelled(simulated.COUNTED["rows"], random, 4) for _ in range(120)])
     assert found["all"]["corrected"] <= 5 < found["all"]["not corrected"]
     assert found["any"]["corrected"] <= 7 < 15 < found["any"]["not corrected"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["relabelled", "drawn"])
-def test_equal_methods_are_called_different_in_at_most_5_percent_of_tables(bench, rows, kind):
+def test_equal_methods_are_called_different_in_at_most_5_percent_of_tables(kind):
     random = np.random.default_rng(5)
     tables = [
-        bench.relabelled(rows["rows"], random, 4) if kind == "relabelled" else equal_methods(random)
+        simulated.relabelled(simulated.COUNTED["rows"], random, 4) if kind == "relabelled" else equal_methods(random)
         for _ in range(1500)
     ]
-    found = bench.called(tables)
+    found = simulated.called(tables)
     assert all(found[group]["corrected"] <= 5 for group in ("S0", "S1", "all"))
     # Holm's correction is that of one table; the three tables of a run together are no family of their own
     assert found["any"]["corrected"] <= 8 < 25 < found["any"]["not corrected"]
