@@ -7,13 +7,9 @@ from r2h_batch.base.package import lazy_names
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
     from r2h_batch.closed_loop.episodes import play
-    from r2h_batch.closed_loop.from_table import Phase, TableHandoverEnv
-    from r2h_batch.closed_loop.picking import Picks
     from r2h_batch.closed_loop.policies import Servo
 
-__all__ = [
-    "End", "Episodes", "HandoverEnv", "LoopConfig", "Phase", "Picks", "Servo", "TableHandoverEnv", "play"
-]  # fmt: skip
+__all__ = ["End", "Episodes", "HandoverEnv", "LoopConfig", "Servo", "play"]
 
 if not TYPE_CHECKING:  # else any name would pass
     __getattr__, __dir__ = lazy_names(
@@ -23,9 +19,6 @@ if not TYPE_CHECKING:  # else any name would pass
             "Episodes": "env",
             "HandoverEnv": "env",
             "LoopConfig": "env",
-            "Phase": "from_table",
-            "Picks": "picking",
-            "TableHandoverEnv": "from_table",
             "Servo": "policies",
             "play": "episodes",
         },

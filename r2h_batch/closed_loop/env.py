@@ -8,7 +8,7 @@ batch. Definitions: docs/receivers.md, "Receivers that move".
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, ClassVar, Literal, TypeGuard, get_args
+from typing import Any, Literal, TypeGuard, get_args
 
 import gymnasium
 import numpy as np
@@ -221,9 +221,8 @@ def checked_motion(
     output: Output = "numpy",
     privileged: bool = False,
     autoreset: bool = False,
-    from_table: bool = False,
 ) -> ReceiverMotion:
-    """The motion of the receivers, once it is known that the arguments of `HandoverEnv` go together.
+    """The motion of the receivers, once it is known that the arguments of `HandoverEnv` are allowed.
 
     Args:
         motion: it, or its name.
@@ -231,10 +230,9 @@ def checked_motion(
         output: as there.
         privileged: as there.
         autoreset: as there.
-        from_table: whether episodes begin with the object on the table.
 
     Raises:
-        TypeError, ValueError: one of them is none that is allowed, or they do not go together.
+        TypeError, ValueError: one of them is none that is allowed.
     """
     for name, switch in (("privileged", privileged), ("autoreset", autoreset)):
         boolean(name, switch)
@@ -242,11 +240,7 @@ def checked_motion(
     instance_of((str, ReceiverMotion), named)("motion", motion)
     one_of(*get_args(Action))("action", action)
     one_of(*get_args(Output))("output", output)
-    found = ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
-    if action == "pose" and from_table:
-        why = "an action that moves the gripper too"
-        raise ValueError(f'{why} needs action velocity, twist or posture, not "pose"')
-    return found
+    return ReceiverMotion.parse(motion) if isinstance(motion, str) else motion
 
 
 class HandoverEnv(VectorEnv):
@@ -267,11 +261,8 @@ class HandoverEnv(VectorEnv):
     it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
     depends on the seed and the trial alone. The next one has the next handover of `scores`, noise and motion drawn anew.
 
-    The object is in the gripper on every benchmark; `TableHandoverEnv` begins before that.
+    The object is in the gripper on every benchmark.
     """
-
-    from_table: ClassVar[bool] = False
-    """Whether the gripper is open and the object on the table when an episode begins."""
 
     @suggest_names
     def __init__(
@@ -304,7 +295,7 @@ class HandoverEnv(VectorEnv):
         if (inputs := scores.inputs) is None:
             raise ValueError("these scores hold no inputs; score again")
         self.motion = checked_motion(
-            motion, action=action, output=output, privileged=privileged, autoreset=autoreset, from_table=self.from_table,
+            motion, action=action, output=output, privileged=privileged, autoreset=autoreset,
         )  # fmt: skip
         self.evaluator, n = inputs.evaluator, len(scores)
         for section in ("execution_error", "object_errors"):
@@ -337,7 +328,6 @@ class HandoverEnv(VectorEnv):
                   "hand_joints": (16, 3), "age": (), "gap": (), "T_hand_ee": (4, 4)}  # fmt: skip
         if privileged:
             shapes |= {"true_T_world_hand": (4, 4), "true_gap": ()}
-        shapes |= self._more_shapes()
         self.single_observation_space = Dict(
             {k: Box(-MOST, MOST, shape, np.float32) for k, shape in shapes.items()}
         )
@@ -348,10 +338,6 @@ class HandoverEnv(VectorEnv):
             "pose": Box(-10.0, 10.0, (4, 4), np.float32),
             "posture": Box(np.float32(robot.lower), np.float32(robot.upper)),
         }[action]
-        if self.from_table:
-            arm = self.single_action_space
-            low, high = (np.append(x, np.float32(y)) for x, y in ((arm.low, -1), (arm.high, 1)))
-            self.single_action_space = Box(low, high)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self._every = torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
@@ -359,10 +345,6 @@ class HandoverEnv(VectorEnv):
         self._moved_seeds = np.full(self.num_envs, self.motion.seed, object)
         self._hold(self._every)
         self._begun = False
-
-    def _more_shapes(self) -> dict[str, tuple[int, ...]]:
-        """More observations of an environment: name -> shape of a row."""
-        return {}
 
     def __reduce__(self) -> Any:
         """Refuses copies by pickle: judged scores leave their evaluator behind."""
@@ -617,9 +599,6 @@ class HandoverEnv(VectorEnv):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
         given = given.detach().to(self._device)
-        if self.from_table:
-            given, gripper = given[:, :-1], given[:, -1]
-            self._closes = gripper < 0
         with self.evaluator.working():
             return self._step(given)
 
@@ -637,7 +616,6 @@ class HandoverEnv(VectorEnv):
             self.hands,
             (first[rows], last[rows]),
             self.gap[rows],
-            self._openings(rows),
         )
         if self._sees_person and len(rows):
             near = self._from_person(rows, torch.stack([self.q[rows], q], 1), T[rows])
@@ -668,7 +646,6 @@ class HandoverEnv(VectorEnv):
             self._by_robot[touched] = by_robot & bad
             for who, why in ((by_robot, Why.ROBOT_CAME), (~by_robot, Why.HAND_CAME)):
                 self._finish(touched[bad & who], End.CONTACT, why)
-        self._on_the_way(rows, old)
         self._receive(rows, se3.dot(gone, gone).sqrt())
         late = (self.ends == int(End.RUNNING)) & (self.times >= self.config.horizon_s - 1e-9)
         self._finish(torch.nonzero(late).flatten(), End.TIMEOUT, Why.LATE)
@@ -679,13 +656,6 @@ class HandoverEnv(VectorEnv):
             reward, terminated, truncated = outcome
             outcome = reward, terminated & running, truncated & running
         return self._observe(), *outcome
-
-    def _openings(self, rows: Tensor) -> tuple[Tensor, Tensor] | None:
-        """Gaps between the pads of `rows` before and after this step, m; None: the fingers stand."""
-        return None
-
-    def _on_the_way(self, rows: Tensor, before: Tensor) -> None:
-        """Other ends of a step; `before`: (B, J) postures before it."""
 
     def _at_gripper(self, rows: Tensor) -> Tensor:
         """Whether the robot's body nearest to the hand is one of the gripper's."""
@@ -866,9 +836,11 @@ class HandoverEnv(VectorEnv):
         ends."""
         if not len(rows):
             return
-        trials = self._trials_now(rows)
-        poses = self._grasped(rows), self.T_world_ee[rows].float()
-        posed = self._posed(*poses, trials)
+        trials, inputs = self._trials_now(rows), self.scores.inputs
+        assert inputs is not None
+        posed = self.evaluator.score(
+            inputs.T_obj_ee[rows], self.T_world_ee[rows].float(), trials, stages="pose"
+        )
         found = posed.inputs
         assert found is not None
         reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
@@ -895,16 +867,6 @@ class HandoverEnv(VectorEnv):
             T_world_hand=self.T_world_hand[rows],
             receiver=None if person is None else person[rows],
         )
-
-    def _grasped(self, rows: Tensor) -> Tensor:
-        """The grasps of `rows`, before closing moved the object."""
-        inputs = self.scores.inputs
-        assert inputs is not None
-        return inputs.T_obj_ee[rows]
-
-    def _posed(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-        """Verdicts of poses as they are now."""
-        return self.evaluator.score(T_obj_ee, T_world_ee, trials, stages="pose")
 
     def _take(self, rows: Tensor, grasp: Taken) -> None:
         """Hands set out for these grasps, with the grasps' fingers from now on."""
@@ -937,12 +899,8 @@ class HandoverEnv(VectorEnv):
         rows = rows[self.k_of[rows] > 0]
         if end == End.CONTACT or not len(rows):
             return
-        met = self._met_on_all_the_way(rows)
+        met = rows[~self._meets_nothing(rows, self._since(self._postures, rows))]
         self.ends[met], self._why[met] = int(End.COLLISION), int(Why.IN_THE_WAY)
-
-    def _met_on_all_the_way(self, rows: Tensor) -> Tensor:
-        """Those of `rows` whose robot met itself, the table or the object, as far as nobody looked before."""
-        return rows[~self._meets_nothing(rows, self._since(self._postures, rows))]
 
     def _since(self, each: list[Tensor], rows: Tensor) -> Tensor:
         """Entries (r, s, ...) of all steps since the oldest of these rows' episodes began; a younger one begins with its

@@ -1,17 +1,16 @@
 """Episodes of a batch of handovers: a policy, receivers that move, and how they end."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import torch
 
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.user_code import chosen
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
-from r2h_batch.closed_loop.from_table import TABLE_HORIZON_S, TableHandoverEnv
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
-from r2h_batch.closed_loop.picking import Picks
-from r2h_batch.closed_loop.policies import POLICIES, Planned, Replan, kind_of_action
+from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.runs import provenance
 from r2h_batch.types import Scores
@@ -40,35 +39,33 @@ def policy_of(spec: str) -> tuple[Any, str]:
     return policy, f"{own.spec} {provenance.file_digest(own.files().values())[:16]}"
 
 
-def env_class(scores: Scores) -> type[HandoverEnv]:
-    """Which environment plays handovers: where the benchmark asks for Pick, one that begins at the table.
+def check_in_gripper(benchmark: Benchmark) -> None:
+    """That episodes can be played on a benchmark: they begin with the object in the gripper.
 
     Args:
-        scores: with their inputs.
+        benchmark: whose trials are to be played.
+
+    Raises:
+        UsageError: its trials begin with the object on the table.
     """
-    asks = () if scores.inputs is None else scores.inputs.evaluator.benchmark.asks
-    return TableHandoverEnv if "pick" in asks else HandoverEnv
+    if "pick" in benchmark.asks:
+        raise UsageError(
+            f"a closed loop begins with the object in the gripper, and trials of {benchmark.name} begin on the table;"
+            " r2h_batch 0.3 played these, this version does not; take r2h-v2"
+        )
 
 
-def play(
-    env: HandoverEnv, policy: Callable[..., Any], look: Callable[[], None] = lambda: None
-) -> Episodes:
+def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
     """Runs all episodes to their ends.
 
     Args:
         env: whose action is what the policy says (`kind_of_action`).
-        policy: a function of an observation, or a class that is made with the environment first. A built-in one picks by
-            `Picks` where the episode begins at the table.
-        look: is called at the beginning and after each step.
+        policy: a function of an observation, or a class that is made with the environment first.
     """
     observation = env.begin()
     act = policy(env) if isinstance(policy, type) else policy
-    if isinstance(env, TableHandoverEnv) and isinstance(act, (Planned, Replan)):
-        act = Picks(env, act)
-    look()
     while bool((env.ends == int(End.RUNNING)).any()):
         observation, *_ = env.advance(act(observation))
-        look()
     return env.episodes()
 
 
@@ -79,18 +76,6 @@ class Loop:
     motion: ReceiverMotion
     policy: str
     config: LoopConfig
-    of_benchmark: bool = False
-    """nobody asked for a horizon: it is the benchmark's"""
-
-    def on(self, benchmark: Benchmark) -> "Loop":
-        """The loop with the horizon of a benchmark, where nobody asked for one.
-
-        Args:
-            benchmark: whose trials are played.
-        """
-        if not self.of_benchmark or "pick" not in benchmark.asks:
-            return self
-        return replace(self, config=replace(self.config, horizon_s=TABLE_HORIZON_S))
 
     @property
     def identity(self) -> str:
@@ -139,7 +124,7 @@ class Loop:
         parts = []
         for i in range(0, len(scores), AT_ONCE):
             part = scores[i : i + AT_ONCE]
-            env = env_class(part)(
+            env = HandoverEnv(
                 part,
                 self.motion,
                 config=self.config,

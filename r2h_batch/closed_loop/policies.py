@@ -38,19 +38,17 @@ class Planned:
 
     Args:
         env: whose trials it moves; `env.scores` has their plans.
-        path: (B, W, J) other paths than those, rad, and (B,) how many of their postures count.
     """
 
     action = "posture"
 
-    def __init__(self, env: HandoverEnv, path: tuple[Tensor, Tensor] | None = None) -> None:
+    def __init__(self, env: HandoverEnv) -> None:
         scores = env.scores
         self.step_s, self.speed, self.acceleration = env.step_s, env.speed, env.acceleration
         home = torch.tensor(
             env.scene.config.workplace.home_q, dtype=torch.float32, device=env.q.device
         )
-        whole, length = (scores.path, scores.path_len) if path is None else path
-        length = length.long()
+        whole, length = scores.path, scores.path_len.long()
         slot = torch.arange(whole.shape[1], dtype=torch.int64, device=length.device)
         last = (length - 1).clamp(min=0)[:, None]
         rows = torch.arange(len(length), dtype=torch.int64, device=length.device)[:, None]
@@ -61,11 +59,9 @@ class Planned:
         steps = torch.ceil(self._duration(self.far) / self.step_s - 1e-6)
         self.begin = self.step_s * torch.nn.functional.pad(steps.cumsum(1), (1, 0))
         self.clock = torch.zeros(len(length), dtype=torch.float64, device=length.device)
-        self.goes = torch.ones_like(self.clock)
-        """0 where it waits (`Picks`): its clock stands"""
 
     def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
-        self.clock = self.clock + self.step_s * self.goes
+        self.clock = self.clock + self.step_s
         return self.posture(self.clock)
 
     def _duration(self, far: Tensor) -> Tensor:
@@ -110,7 +106,7 @@ class StopAndWait(Planned):
     def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
         go = torch.where(observation["gap"] < STOP_M, -1.0, 1.0)
         self.pace = (self.pace + go * self.step_s / self.RAMP_S).clamp(0.0, 1.0)
-        self.clock = self.clock + self.step_s * self.pace * self.goes
+        self.clock = self.clock + self.step_s * self.pace
         return self.posture(self.clock)
 
 
@@ -162,7 +158,7 @@ class Servo(Planned):
             min=1.0
         )
         room = (self.slow_m - self.stop_m).clamp(min=1e-6)
-        pace = ((observation["gap"].double() - self.stop_m) / room).clamp(0.0, 1.0) * self.goes
+        pace = ((observation["gap"].double() - self.stop_m) / room).clamp(0.0, 1.0)
         self.clock = torch.minimum(self.clock + self.step_s * pace, self.end_s)
         bent = (self.clock / self.end_s)[:, None] * (self.goal - self.path[:, -1].double())
         to, q = self.posture(self.clock).double() + bent, observation["q"].double()
@@ -200,8 +196,6 @@ class Replan:
         self.planned = torch.zeros(b, dtype=torch.bool, device=device)
         self.T_planned_for = torch.eye(4, dtype=torch.float64, device=device).repeat(b, 1, 1)
         self.key = random_key(env.trials.trial_id)
-        self.goes = torch.ones(b, dtype=torch.float64, device=device)
-        """0 where it waits (`Picks`): nothing is planned"""
 
     def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:
         if self.k % self.every == 0:
@@ -232,7 +226,7 @@ class Replan:
         off = twist_between(self.T_planned_for, T_wanted)
         way, turn = (se3.dot(x, x).sqrt() for x in (off[:, :3], off[:, 3:]))
         moved = (way > self.MOVED_M) | (turn > self.MOVED_RAD)
-        runs = (env.ends == int(End.RUNNING)) & (self.goes > 0)
+        runs = env.ends == int(End.RUNNING)
         rows = torch.nonzero(runs & (moved | ~self.planned)).flatten()
         if not len(rows):
             return

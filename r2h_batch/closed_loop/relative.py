@@ -11,12 +11,9 @@ import torch
 from jaxtyping import Bool, Float32, Float64
 from torch import Tensor
 
-from r2h_batch.base import se3
 from r2h_batch.closed_loop.fingers import OwnHands
 from r2h_batch.closed_loop.moving import MovingHands
 from r2h_batch.judge.distance import NearestApproach, hand_distance_at
-from r2h_batch.judge.fingers_way import gripper_radii
-from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -24,8 +21,6 @@ CAP_M = 0.25
 """Distances are exact up to here, lower bounds beyond."""
 ROUNDING_M = 2e-6
 """Rounding error of float32 in postures and poses."""
-ARC = 1.05
-"""No arc of a radian is longer than this many times its chord."""
 RESOLUTION_M = 1e-4
 """Where robot and hand go no farther than this together and are not certified apart, they touch: they came
 within half of it."""
@@ -68,26 +63,23 @@ class RelativeDistance:
         rows: Tensor,
         q: Float32[Tensor, "r j"],
         T_world_hand: Float32[Tensor, "r 4 4"],
-        opening_m: Float32[Tensor, " r"] | None = None,
     ) -> Float32[Tensor, " r"]:
-        """Distance of some trials at postures and poses, m; `opening_m`: gaps between the pads other than the trials' own."""
-        near = self.nearest(rows, q, T_world_hand, opening_m)
-        return near.distance_m
+        """Distance of some trials at postures and poses, m."""
+        return self.nearest(rows, q, T_world_hand).distance_m
 
     def nearest(
         self,
         rows: Tensor,
         q: Float32[Tensor, "r j"],
         T_world_hand: Float32[Tensor, "r 4 4"],
-        opening_m: Float32[Tensor, " r"] | None = None,
     ) -> NearestApproach:
         """As `at`, with the robot's body and the point of the hand."""
         trials, own = self.trials, self.own
         hand = trials.hand_index[rows] if own is None else rows
-        opening = self._opening[rows] if opening_m is None else opening_m
         bodies = self.scene.body_poses(
-            trials.object_index[rows], hand, self._grasp[rows], T_world_hand.contiguous(), opening
-        )
+            trials.object_index[rows], hand, self._grasp[rows], T_world_hand.contiguous(),
+            self._opening[rows],
+        )  # fmt: skip
         active = torch.ones(len(rows), dtype=torch.bool, device=q.device)
         tables = None if own is None else own.tables
         return hand_distance_at(
@@ -102,19 +94,6 @@ class RelativeDistance:
             total = total + self._levers[:, k] * turned[:, None, k].abs()
         return total.amax(1) * 1.00001
 
-    def fingers_travel(
-        self, before_m: Float32[Tensor, " r"], after_m: Float32[Tensor, " r"]
-    ) -> Float32[Tensor, " r"]:
-        """Bound of the way of any point of the gripper while the gap between its pads goes from one to the other, m.
-
-        A body's middle and its turn, each as the chord of an arc of less than a radian.
-        """
-        (R0, p0), (R1, p1) = (gripper_poses(self.scene.robot, x) for x in (before_m, after_m))
-        turned = (R1 - R0).double().square().flatten(2).sum(2).sqrt() / 2**0.5  # 2 sin(angle / 2)
-        way = (p1 - p0).double()
-        far = se3.dot(way, way).sqrt() + gripper_radii(self.scene) * turned
-        return (ARC * far.amax(1)).float()
-
     def over_step(
         self,
         rows: Tensor,
@@ -122,7 +101,6 @@ class RelativeDistance:
         hands: MovingHands,
         time_s: tuple[Float64[Tensor, " r"], Float64[Tensor, " r"]],
         before_m: Float32[Tensor, " r"],
-        openings_m: tuple[Float32[Tensor, " r"], Float32[Tensor, " r"]] | None = None,
     ) -> Passed:
         """The step from one posture to the next, while the hands go on.
 
@@ -132,30 +110,17 @@ class RelativeDistance:
             hands: of all trials.
             time_s: both ends.
             before_m: distance at the beginning.
-            openings_m: gaps between the pads at both ends, if the fingers move; the gap goes evenly.
         """
         way = hands.way[rows]
         one = torch.ones(len(rows), dtype=torch.float64, device=rows.device)
-
-        def opening(i: Tensor, m: Tensor) -> Tensor | None:
-            if openings_m is None:
-                return None
-            wide, tight = (x[i] for x in openings_m)
-            return wide + m.float() * (tight - wide)
-
         every = torch.arange(len(rows), dtype=torch.int64, device=rows.device)
-        after = self.at(rows, q[1], way.pose(time_s[1]).float(), opening(every, one))
+        after = self.at(rows, q[1], way.pose(time_s[1]).float())
         travel = self.robot_travel(q[1] - q[0]).double()
         span = time_s[1] - time_s[0]
 
         def way_of(i: Tensor, a: Tensor, b: Tensor) -> Float64[Tensor, " n"]:
             times = (time_s[0][i] + span[i] * x for x in (a, b))
-            far = (b - a) * travel[i] + way[i].travel(*times)
-            if openings_m is None:
-                return far
-            wide, tight = opening(i, a), opening(i, b)
-            assert wide is not None and tight is not None
-            return far + self.fingers_travel(wide, tight).double()
+            return (b - a) * travel[i] + way[i].travel(*times)
 
         least = torch.minimum(before_m, after)
         touch = after <= 0
@@ -176,7 +141,7 @@ class RelativeDistance:
             m = 0.5 * (a + b)
             at = q[0][i] + m[:, None].float() * (q[1][i] - q[0][i])
             T = way[i].pose(time_s[0][i] + span[i] * m).float()
-            d_m = self.at(rows[i], at, T, opening(i, m))
+            d_m = self.at(rows[i], at, T)
             touch[i[d_m <= 0]] = True
             i, a, b = torch.cat([i, i]), torch.cat([a, m]), torch.cat([m, b])
             d_a, d_b = torch.cat([d_a, d_m]), torch.cat([d_m, d_b])

@@ -31,7 +31,7 @@ from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight
 from r2h_batch.kernels.judge.rows import usable_rows
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.scene.person import with_person
-from r2h_batch.scene.resting import FAR_M, among, with_resting, without
+from r2h_batch.scene.resting import among, with_resting, without
 from r2h_batch.scene.scene import BodyPoses, Scene
 from r2h_batch.types import CollidingPair, PlanReason, Trials
 from r2h_batch.verdicts import PickReason
@@ -787,28 +787,3 @@ def _of_slot(path: Tensor, slot: Tensor, some: Tensor) -> Tensor:
     """The paths at (B,) `slot` among (B, 8, W, J); NaN where there is none."""
     own = path[torch.arange(len(slot), dtype=torch.int64, device=slot.device), slot]
     return torch.where(some[:, None, None], own, torch.nan)
-
-
-def closing_room(
-    scene: Scene,
-    T_obj_ee: Float32[Tensor, "b 4 4"],
-    T_world_obj: Float32[Tensor, "b 4 4"],
-    object_index: Int32[Tensor, " b"],
-    q: Float32[Tensor, "b j"],
-) -> Float32[Tensor, " b"]:
-    """The stage `closing_collides` alone, with nobody about: what the closing fingers keep from the table at postures, less
-    where closing pushes the object into it (m); above 0 passes.
-
-    Args:
-        scene: robot, objects and table.
-        T_obj_ee: (B, 4, 4) where the gripper closes, the ee in the object's frame, m.
-        T_world_obj: (B, 4, 4) where the objects rest, m.
-        object_index: (B,) which objects.
-        q: (B, J) postures at which it closes, rad.
-    """
-    nobody = torch.eye(4, dtype=torch.float32, device=q.device).repeat(len(q), 1, 1)
-    nobody[:, 0, 3] = FAR_M
-    number = torch.arange(len(q), dtype=torch.int64, device=q.device)
-    trials = Trials(number, object_index, torch.zeros_like(object_index), nobody)
-    batch = _Batch.of(scene, T_obj_ee, T_world_obj, trials)
-    return batch._closing(batch._grasp, q, batch.active).clearance_m

@@ -44,15 +44,6 @@ class KnownMoments:
         keys = _keys(trials)
         return len(set(keys)) == len(keys)
 
-    def forget(self, trials: Trials) -> None:
-        """Drops what was told of trials.
-
-        Args:
-            trials: N trials.
-        """
-        for key in _keys(trials):
-            self._told.pop(key, None)
-
     def of(self, trials: Trials) -> Float32[Tensor, "n 4 4"]:
         """As `moments`, but for trials that were told.
 

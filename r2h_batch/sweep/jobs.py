@@ -19,6 +19,7 @@ import torch
 
 from r2h_batch.base.command_line import counted
 from r2h_batch.base.errors import FileError, UsageError
+from r2h_batch.base.gone import gone
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.own_imports import PACKAGE
@@ -140,8 +141,11 @@ def set_up(request: Request) -> Setting:
     plan = request.trials.plan(benchmark)
     config = benchmark.config(request.configuration)
     sees = request.methods.sees and request.methods.sees.on(benchmark)
-    loop = None if request.loop is None else request.loop.on(benchmark)
-    setting = prepare(benchmark, plan, config, request.work, loop, sees)
+    if request.loop is not None:
+        from r2h_batch.closed_loop.episodes import check_in_gripper
+
+        check_in_gripper(benchmark)
+    setting = prepare(benchmark, plan, config, request.work, request.loop, sees)
     setting.header.update(
         benchmark={"flags": request.trials.benchmark.flags()},
         seed=request.methods.seed,
@@ -561,7 +565,8 @@ def _trained_on(name: str, method: _Method, evaluator: "Evaluator") -> str:
 
 
 class NotBuiltIn(UsageError):
-    """A method, or files of its networks, are the user's: they are not run or opened again."""
+    """A method, or files of its networks, are the user's: they are not run or opened again. Nor is a method with an option
+    that went (`base.gone`)."""
 
 
 def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: "Evaluator") -> Job:
@@ -575,7 +580,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         evaluator: of the run's objects and hands.
 
     Raises:
-        NotBuiltIn: a method or files of the user's answered.
+        NotBuiltIn: a method or files of the user's answered, or one with an option that went.
         UsageError: the built-in method takes no such options.
     """
     from r2h_batch.observe.sees import Sees
@@ -595,6 +600,8 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
     method_options = source.get("options", "")
     given = {part.partition("=")[0].strip() for part in method_options.split(",")}
+    if went := [told for option in given if (told := gone(f"--method {word},{option}"))]:
+        raise NotBuiltIn(went[0])
     if own := given & {*METHODS[word].files}:
         raise NotBuiltIn(f"{', '.join(own)} came from a file of its own, which is not opened")
     sees = Sees.of_run(header)

@@ -244,7 +244,7 @@ class Flags:
     horizon: Annotated[
         float | None,
         Flag(
-            "longest episode of a closed loop, s: 15, or 30 from the table, unless given; slow arms need more",
+            "longest episode of a closed loop, s: 15 unless given; slow arms need more",
             "closed loop",
         ),
     ] = None

@@ -334,4 +334,4 @@ def _loop(options: Options) -> "Loop | None":
     config, horizon_s = LoopConfig(seed=options.seed), options.horizon
     if horizon_s is not None:
         config = replace(config, horizon_s=horizon_s)
-    return Loop(motion, options.policy, config, of_benchmark=horizon_s is None)
+    return Loop(motion, options.policy, config)

@@ -22,7 +22,7 @@ from r2h_batch.base.validate import (
     text,
 )
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv, checked_motion
-from r2h_batch.closed_loop.from_table import Phase, TableHandoverEnv
+from r2h_batch.closed_loop.episodes import check_in_gripper
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.config import EvalConfig
 from r2h_batch.protocols.benchmark import Benchmark
@@ -33,10 +33,9 @@ from r2h_batch.sweep.request import Methods, Work
 from r2h_batch.types import CRITERIA, Predictions, Scores
 from r2h_batch.verdicts import SPLITS
 from r2h_batch.view.drawing import View, view_of
-from r2h_batch.view.episode import EpisodeDrawing, at_phase
+from r2h_batch.view.episode import EpisodeDrawing
 from r2h_batch.view.pictures import painter
 from r2h_batch.view.stored import judged_again
-from r2h_batch.view.stored_trial import StoredTrial
 
 LEAST_TRIALS = 30
 SIZE = (640, 480)
@@ -66,7 +65,7 @@ class DrawnHandoverEnv(HandoverEnv):
         self.metadata = {**self.metadata, **_DRAWS, "render_fps": self.config.rate_hz}
         _check_render_mode(render_mode)
         self.render_mode = render_mode
-        self._drawings: dict[tuple[int, bytes], tuple[EpisodeDrawing, View]] = {}
+        self._drawings: dict[int, tuple[EpisodeDrawing, View]] = {}
 
     def render(self) -> tuple[np.ndarray, ...] | None:
         """A picture (height, width, 3) uint8 of each handover now; None without a render mode."""
@@ -76,7 +75,7 @@ class DrawnHandoverEnv(HandoverEnv):
         return tuple(self._picture(row) for row in range(self.num_envs))
 
     def _picture(self, row: int) -> np.ndarray:
-        place = (int(self._row[row]), self._shown(row))
+        place = int(self._row[row])
         if place not in self._drawings:
             self._drawings[place] = self._drawing(row)
         (drawing, view), people = self._drawings[place], self.receiver
@@ -87,36 +86,16 @@ class DrawnHandoverEnv(HandoverEnv):
             q = self.q[row].double().cpu().numpy()
             return paint(np.append(q, 0.0))
 
-    def _shown(self, row: int) -> bytes:
-        """Distinguishes drawings of one handover."""
-        return b""
-
-    def _now(self, stored: StoredTrial, row: int) -> StoredTrial:
-        """The stored trial as it is in this moment of the episode."""
-        return stored
-
     def _drawing(self, row: int) -> tuple[EpisodeDrawing, View]:
         """A handover, and a camera that sees its whole plan."""
         inputs, rows = self.scores.inputs, torch.tensor([row], dtype=torch.int64, device="cpu")
         assert inputs is not None
         trial = inputs.trials[rows]
         answer = Predictions(trial.trial_id, inputs.T_obj_ee[rows], inputs.T_world_ee[rows])
-        stored = self._now(judged_again(self.evaluator, trial, answer, ""), row)
+        stored = judged_again(self.evaluator, trial, answer, "")
         T = np.repeat(trial.T_world_hand.double().cpu().numpy(), len(stored.q), 0)
         drawing = EpisodeDrawing(stored, stored.q, T, None, self.step_s)
         return drawing, view_of([drawing], SIZE[0] / SIZE[1])
-
-
-class DrawnTableHandoverEnv(DrawnHandoverEnv, TableHandoverEnv):
-    """A `TableHandoverEnv` that draws its handovers; arguments as of `DrawnHandoverEnv`."""
-
-    def _shown(self, row: int) -> bytes:
-        if int(self.phase[row]) < int(Phase.LIFTS):
-            return b""
-        return self._attached[row].cpu().numpy().tobytes()
-
-    def _now(self, stored: StoredTrial, row: int) -> StoredTrial:
-        return at_phase(stored, self, row)
 
 
 _INNER = ("self", "scores", "more")
@@ -150,8 +129,8 @@ def make_vector(
         num_envs: handovers at once.
         method: who says grasps and handover poses: a word of `r2h-batch ls methods`, or your package.module:function.
         motion: of the receivers, or its name.
-        benchmark: whose trials, or what `load_benchmark` takes; None: the default one. Where it asks for Pick, episodes
-            begin with the object on the table (`TableHandoverEnv`).
+        benchmark: whose trials, or what `load_benchmark` takes; None: the default one. None that asks for Pick: episodes
+            begin with the object in the gripper.
         splits: S0, S1 or both.
         trials: trials of each split; None: at least 30, and enough for `num_envs`. Those whose object the gripper
             cannot hold are left out. Episodes after the first take the next trial in turn.
@@ -181,10 +160,8 @@ def make_vector(
     if not isinstance(benchmark, Benchmark):
         benchmark = load_benchmark(DEFAULT_PROTOCOL if benchmark is None else benchmark)
     named = {name: more[name] for name in _WAYS if name in more}
-    from_table = "pick" in benchmark.asks
-    checked_motion(
-        motion, autoreset=autoreset, from_table=from_table, **named
-    )  # a method answers for seconds
+    check_in_gripper(benchmark)
+    checked_motion(motion, autoreset=autoreset, **named)  # a method answers for seconds
     chosen = (splits,) if isinstance(splits, str) else sequence_of(str)("splits", splits)
     one_of(*PRESET_NAMES)("preset", preset)
     plan = dict.fromkeys(chosen, trials or max(LEAST_TRIALS, num_envs))
@@ -204,8 +181,7 @@ def make_vector(
         "autoreset": autoreset,
         "render_mode": render_mode,
     }
-    drawn = DrawnTableHandoverEnv if from_table else DrawnHandoverEnv
-    return drawn(scores, motion, config=config, **made, **more)
+    return DrawnHandoverEnv(scores, motion, config=config, **made, **more)
 
 
 def make_single(**how: Any) -> SingleHandoverEnv:

@@ -1,6 +1,5 @@
 """A trial played in closed loop as something to draw: the hand and its arm move too."""
 
-from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -11,16 +10,14 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from r2h_batch.closed_loop.env import End, LoopConfig
-from r2h_batch.closed_loop.episodes import Loop, env_class, play, policy_of
-from r2h_batch.closed_loop.from_table import Phase, TableHandoverEnv
+from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig
+from r2h_batch.closed_loop.episodes import check_in_gripper, play, policy_of
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.closed_loop.policies import kind_of_action
 from r2h_batch.verdicts import SEXES
 from r2h_batch.view.drawing import Drawing, Witness
 from r2h_batch.view.mjcf import cuff_of, receiver_meshes
 from r2h_batch.view.stored import Reader
-from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 
@@ -50,13 +47,12 @@ class EpisodeDrawing(Drawing):
         self._bent = -1
         """the step at which the receiver's skin is now; -1: as the trial began"""
         self.touches = touches
-        self.table_legs: tuple[EpisodeDrawing, ...] = ()
         super().__init__(stored)
 
     @property
     def legs(self) -> tuple[Drawing, ...]:
-        """The stretch in which the object lies on the table, where the episode begins there."""
-        return self.table_legs
+        """None: an episode begins with the object in the gripper."""
+        return ()
 
     def show(self, T_world_hand: Array, receivers: Array | None) -> None:
         """Other places of hand (S, 4, 4) and body (S, 5, 4), for the steps from now on."""
@@ -160,22 +156,6 @@ class EpisodeDrawing(Drawing):
         return super().at(q[:joints])
 
 
-def at_phase(stored: StoredTrial, env: TableHandoverEnv, row: int) -> StoredTrial:
-    """A stored trial as one moment of its episode has it: the object on the table, or in the gripper as it was gripped."""
-    if int(env.phase[row]) < int(Phase.LIFTS):
-        opened = {"opening_m": env.scene.robot.open_gap_m, "grasp_shift_m": 0.0}
-        return replace(
-            stored,
-            row=stored.row | opened,
-            T_obj_ee_attached=stored.T_obj_ee,
-            resting=env.T_world_obj[row].double().cpu().numpy(),
-            before=(),
-        )
-    held = {"opening_m": float(env._opening[row])}
-    attached = env._attached[row].double().cpu().numpy()
-    return replace(stored, row=stored.row | held, T_obj_ee_attached=attached, before=())
-
-
 def _quat(R: Array) -> Array:
     out = np.zeros(4)
     mujoco.mju_mat2Quat(out, np.ascontiguousarray(R).ravel())
@@ -190,6 +170,7 @@ def episode_of(
     Raises:
         ValueError, ImportError: no such motion or policy.
     """
+    check_in_gripper(reader.benchmark)
     act, _ = policy_of(policy)
     seed, stored = int(reader.run.header["seed"]), reader.trial(trial_id, method)
     ids = torch.tensor([trial_id], dtype=torch.int64, device="cpu")
@@ -198,25 +179,10 @@ def episode_of(
     )
     trials = reader.benchmark.trials_with_ids(ids)
     scores = reader.evaluator.kinematic.score(T_obj_ee, T_world_ee, trials)
-    loop = Loop(
-        ReceiverMotion.parse(motion, seed), policy, LoopConfig(seed=seed), of_benchmark=True
-    )
-    moving, config = loop.motion, loop.on(reader.benchmark).config
+    moving, config = ReceiverMotion.parse(motion, seed), LoopConfig(seed=seed)
     kind: Any = kind_of_action(act)
-    env = env_class(scores)(scores, moving, config=config, action=kind)
-    shown: list[StoredTrial] = []
-    at_table = 0
-
-    def look() -> None:
-        nonlocal at_table
-        if not isinstance(env, TableHandoverEnv):
-            return
-        rests = int(env.phase[0]) < int(Phase.LIFTS)
-        at_table += rests
-        if not shown or (len(shown) == 1 and not rests):
-            shown.append(at_phase(stored, env, 0))
-
-    found = play(env, act, look)
+    env = HandoverEnv(scores, moving, config=config, action=kind)
+    found = play(env, act)
     q, hands = (x[0].double().numpy() for x in env.trace())
     bodies = None
     if env.trials.receiver is not None:
@@ -228,23 +194,6 @@ def episode_of(
     how = f"{end.name.lower().replace('_', ' ')}{who if end == End.CONTACT else ''}"
     words = f"{policy}, {motion}: {how} after {float(found.time_s[0]):.1f} s"
     touches = end == End.CONTACT
-    ended = words, end == End.SUCCESS
-    if not shown:
-        drawing = EpisodeDrawing(stored, q, hands, bodies, env.step_s, touches)
-        drawing.ended = ended
-        return drawing
-    word = str(env._info(None)["outcome"][0])
-    # the first posture of the second stretch is the last one of the first
-    cut = slice(0, at_table), slice(max(at_table - 1, 0), None)
-    parts = []
-    for k, (one, rows) in enumerate(zip(shown, cut, strict=False)):
-        last = k == len(shown) - 1
-        row = one.row | {"outcome": word if last else "success", "t_exec_s": None}
-        one = replace(
-            one, row=row, q=q[rows], executed_q=None, planned_q=None, asked=None, goes_on=not last
-        )
-        body = None if bodies is None else bodies[rows]
-        parts.append(EpisodeDrawing(one, q[rows], hands[rows], body, env.step_s, touches and last))
-    *before, drawing = parts
-    drawing.table_legs, drawing.ended = tuple(before), ended
+    drawing = EpisodeDrawing(stored, q, hands, bodies, env.step_s, touches)
+    drawing.ended = words, end == End.SUCCESS
     return drawing

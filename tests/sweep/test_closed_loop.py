@@ -14,6 +14,14 @@ def sweep(folder, *more):
     return main([*BASE, "--out", str(folder), *more])
 
 
+def test_trials_that_begin_on_the_table_are_refused_before_one_is_judged(tmp_path, capsys):
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "--trials", "1", "--receiver-motion", "moves"]
+    assert main([*line, "--out", str(tmp_path / "run")]) == 2
+    said = capsys.readouterr().err.strip().splitlines()[-1]
+    assert "trials of r2h-v3-draft begin on the table" in said and "r2h_batch 0.3 played these" in said
+    assert not (tmp_path / "run" / "run.json").exists()
+
+
 def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("r2h_batch.closed_loop.env.LoopConfig", partial(LoopConfig, horizon_s=2.0))
     (tmp_path / "mine.py").write_text("import torch\n\ndef wait(seen):\n    return torch.zeros_like(seen['q'])\n")

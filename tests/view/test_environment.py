@@ -56,9 +56,9 @@ def test_a_vector_of_them_is_made_by_name_and_plays():
         (ID, {"render_mode": ["rgb_array"]}, ValueError, "render_mode is .*; allowed are None and 'rgb_array'"),
         (
             ID,
-            {"action": "pose", "benchmark": "r2h-v3-draft"},
-            ValueError,
-            'an action that moves the gripper too needs .*, not "pose"',
+            {"benchmark": "r2h-v3-draft"},
+            UsageError,
+            "trials of r2h-v3-draft begin on the table; r2h_batch 0.3 played",
         ),
     ],
 )

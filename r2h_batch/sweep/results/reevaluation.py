@@ -174,6 +174,11 @@ def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
         return None, ""
     if not isinstance(identity, str):
         raise RunError(f"{run.folder}: run.json does not say how its episodes were played")
+    if "pick" in run.header.get("asks", ()):
+        return (
+            None,
+            "; episodes not played again: they began on the table, and r2h_batch 0.3 played those",
+        )
     if find_spec("gymnasium") is None:
         return None, "; episodes not played again: pip install 'r2h_batch[env]'"
     from r2h_batch.closed_loop.episodes import Loop

@@ -5,6 +5,7 @@ import shutil
 import sys
 from copy import copy
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,6 +22,7 @@ from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results import reevaluation as again
 from r2h_batch.sweep.results.reevaluation import Judge, configuration, reevaluate
 
+FROZEN = Path(__file__).resolve().parents[2] / "frozen"
 LINE = [
     "--benchmark",
     "r2h-v1",
@@ -168,6 +170,14 @@ def test_episodes_are_played_again_and_a_made_up_one_is_found(tmp_path, capsys, 
     assert main(["results", "reevaluate", str(tmp_path / "forged")]) == 1
     out = capsys.readouterr().out
     assert f"trial {done[0]}: episodes end is stored as success, scored again it is timeout" in out
+
+
+def test_episodes_that_began_on_the_table_are_not_played_again():
+    run = load_run(FROZEN / "draft")
+    run.header["stored"] = [*run.header["stored"], "episodes"]  # as r2h_batch 0.3 stored what it played
+    run.header["digests"]["closed_loop"] = Loop(ReceiverMotion.parse("moves"), "servo", LoopConfig()).identity
+    old = Judge(run)
+    assert old.loop is None and "episodes not played again: they began on the table" in old.played
 
 
 def test_a_loop_comes_back_from_its_words_and_users_policies_do_not():
