@@ -600,7 +600,7 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         raise UsageError(f"run.json names the error model {named!r}; allowed are {allowed}")
     method_options = source.get("options", "")
     given = {part.partition("=")[0].strip() for part in method_options.split(",")}
-    if went := [told for option in given if (told := gone(f"--method {word},{option}"))]:
+    if went := [told for option in sorted(given) if (told := gone(f"--method {word},{option}"))]:
         raise NotBuiltIn(went[0])
     if own := given & {*METHODS[word].files}:
         raise NotBuiltIn(f"{', '.join(own)} came from a file of its own, which is not opened")

@@ -53,6 +53,9 @@ def test_the_learned_method_says_what_it_learned_from_and_its_weights_are_part_o
     assert jobs.job_of_run(header, shipped.source, bench.evaluator).name == shipped.name
     with pytest.raises(jobs.NotBuiltIn, match="weights came from a file of its own, which is not opened"):
         jobs.job_of_run(header, mine.source, bench.evaluator)
+    seen = {"function": "r2h_batch.methods.contact:predict", "options": "depth_lost=0.1, cameras=2"}
+    with pytest.raises(jobs.NotBuiltIn, match=r"contact,cameras: r2h_batch 0\.3 had it"):  # its poses are judged again
+        jobs.job_of_run(header, seen, bench.evaluator)
 
 
 def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, capsys):
