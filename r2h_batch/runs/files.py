@@ -1,7 +1,8 @@
-"""Files of a run folder: whole or not at all, the first writer wins, one process at a time.
+"""Files of a run folder: whole or not at all, one process at a time.
 
-Every file gets a temporary name, fsync, a hard link and fsync of the folder. No stored file changes,
-so any number of processes can share a folder.
+Every file is written under a temporary name, put on the disk and renamed. What the first writer
+decides for the others (run.json, methods) gets its name by a hard link, which fails where the name is
+taken. No stored file changes, so any number of processes can share a folder.
 """
 
 import errno
@@ -11,9 +12,10 @@ import os
 import re
 import socket
 import stat
+import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 from uuid import uuid4
@@ -23,6 +25,9 @@ from r2h_batch.base.io.read import kind_of, printable, read_file
 from r2h_batch.base.io.write import packed_json
 
 MOST_CLAIM_BYTES = 1000
+
+REMAINS_S = 3600.0
+"""A temporary file that nobody has written to for so long has lost its writer."""
 
 GO_ON = "shards that were complete are stored, run the same command to go on"
 
@@ -59,12 +64,17 @@ def link_once(temporary: Path, final: Path) -> bool:
             words = "this file system has no hard links; put the run folder on one that has"
             raise OSError(error.errno, words, str(final)) from error
         raise
-    folder = os.open(final.parent, os.O_RDONLY)
+    sync_folder(final.parent)
+    return True
+
+
+def sync_folder(place: Path) -> None:
+    """Put the names of a folder on the disk."""
+    folder = os.open(place, os.O_RDONLY)
     try:
         os.fsync(folder)
     finally:
         os.close(folder)
-    return True
 
 
 def write_json_once(path: Path, data: Mapping[str, Any]) -> bool:
@@ -92,14 +102,17 @@ def _write_json(
         temporary.unlink(missing_ok=True)
 
 
-def drop_second_names(folder: Path) -> None:
-    """Remove temporary names of finished files: their writer was killed between the two names."""
-    for temporary in folder.glob(".*.tmp") if folder.is_dir() else ():
-        try:
-            if temporary.lstat().st_nlink > 1:
-                temporary.unlink()
-        except OSError:  # its writer lives and was faster, or the folder is read-only
-            continue
+_TEMPORARY = re.compile(r"\.(.+\.[0-9a-f]{32}\.tmp|[0-9a-f]{12}\.tmp(\.\w+)?)")
+
+
+def drop_remains(*places: Path) -> None:
+    """Remove from folders the temporary files of writers that were killed (`REMAINS_S`)."""
+    for place in places:
+        for path in place.glob(".*.tmp*") if place.is_dir() else ():
+            with suppress(OSError):  # another process was faster, or the folder is read-only
+                old = time.time() - path.lstat().st_mtime > REMAINS_S
+                if old and _TEMPORARY.fullmatch(path.name):
+                    path.unlink()
 
 
 def _open_own(path: Path) -> int:
@@ -126,90 +139,81 @@ _locks: set[BinaryIO] = set()  # open files of this process that may hold a lock
 os.register_at_fork(after_in_child=lambda: [_locks.pop().close() for _ in list(_locks)])
 
 
-@dataclass(frozen=True)
+@dataclass
 class Claim:
-    """A file that this process alone has locked: a dot for each process that died while it held the
-    file, then who holds it."""
+    """A file that this process alone has locked."""
 
-    handle: int
-
-    @property
-    def deaths(self) -> int:
-        """How many processes died at the work."""
-        return _dots(os.pread(self.handle, MOST_CLAIM_BYTES, 0).decode(errors="replace"))
-
-    @contextmanager
-    def attempt(self) -> Iterator[None]:
-        """Around the work: a process that dies inside adds a death, an exception does not."""
-        before = self.deaths
-        self.note(before + 1)
-        try:
-            yield
-        except BaseException:  # stopped, refused or a full disk
-            self.note(before)
-            raise
-        self.note(0)
-
-    def note(self, deaths: int) -> None:
-        """Write the file."""
-        words = b"." * deaths + f"process {os.getpid()} on {socket.gethostname()}".encode()
-        os.pwrite(self.handle, words, 0)
-        os.ftruncate(self.handle, len(words))
+    died: list[str] = field(default_factory=list)
+    """who died while it held the file: `process 7 on HOST`, the first one first"""
+    kept: bool = False
+    """whether the file stays when the block ends: whoever looks later sees who died"""
 
 
 @contextmanager
 def claim(path: Path) -> Iterator[Claim | None]:
     """The claim of a file, until the block ends or the process dies; None if another process has it.
 
-    A claim saves double work; hard links decide who stores first. So a file system without locks
-    gives the claim to every process.
+    The file has a line for each process that died while it held the claim, then one for the process
+    that holds it. It goes with the end of the block, whatever ended that: only a process that dies
+    leaves its line.
+
+    A claim saves double work: rows of a shard are equal whoever writes them. So a file system without
+    locks gives the claim to every process.
     """
-    with open(_open_own(path), "r+b", buffering=0) as lock:
+    lock, own = _locked(path)
+    try:
+        found = Claim(_lines(os.pread(lock.fileno(), MOST_CLAIM_BYTES, 0))) if own else None
+        if found is not None:
+            with suppress(OSError):  # a full disk: only the name is missing
+                me = f"process {os.getpid()} on {socket.gethostname()}"
+                text = "".join(f"{line}\n" for line in [*found.died, me]).encode()
+                os.ftruncate(lock.fileno(), os.pwrite(lock.fileno(), text, 0))
+        try:
+            yield found
+        finally:
+            if found is not None and not found.kept:
+                path.unlink(missing_ok=True)
+    finally:
+        _locks.discard(lock)
+        lock.close()
+
+
+def _locked(path: Path) -> tuple[BinaryIO, bool]:
+    """The open file, and whether this process has it for itself."""
+    while True:
+        lock = open(_open_own(path), "r+b", buffering=0)  # noqa: SIM115 (whoever asked closes it)
         _locks.add(lock)
         try:
-            own = True
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-            except OSError as error:
-                own = error.errno in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
-                if not own and not isinstance(error, BlockingIOError):
-                    raise
-            found = Claim(lock.fileno())
-            if own:
-                with suppress(OSError):  # a full disk: only the name is missing
-                    found.note(found.deaths)
-            yield found if own else None
-        finally:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if isinstance(error, BlockingIOError):
+                return lock, False
+            if error.errno in (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK):
+                return lock, True
             _locks.discard(lock)
+            lock.close()
+            raise
+        with suppress(FileNotFoundError):
+            if os.path.samestat(os.lstat(path), os.fstat(lock.fileno())):
+                return lock, True
+        _locks.discard(lock)  # its holder's block ended meanwhile, and the file went with it
+        lock.close()
 
 
-def deaths_of(path: Path) -> int:
-    """How many processes died at the work of a claim, held or not."""
-    return _dots(_claim_text(path))
-
-
-def set_deaths(path: Path, deaths: int) -> None:
-    """Write the number of deaths of a claim, held or not."""
-    handle = _open_own(path)
-    try:
-        Claim(handle).note(deaths)
-    finally:
-        os.close(handle)
+def died_at(path: Path) -> list[str]:
+    """The lines of a claim, held or not: who died with it, last of all who holds it."""
+    with suppress(OSError, FileError):
+        return _lines(read_file(path, MOST_CLAIM_BYTES))
+    return []
 
 
 def owner_of(path: Path) -> str:
-    """Who holds a claim, or did last: `process 7 on HOST`; empty if that is not known."""
-    return _claim_text(path).lstrip(".")
+    """Who holds a claim, or died with it: `process 7 on HOST`; empty if that is not known."""
+    return (died_at(path) or [""])[-1]
 
 
-def _claim_text(path: Path) -> str:
-    with suppress(OSError, FileError):
-        return printable(read_file(path, MOST_CLAIM_BYTES).decode(errors="replace"))
-    return ""
-
-
-def _dots(text: str) -> int:
-    return len(text) - len(text.lstrip("."))
+def _lines(text: bytes) -> list[str]:
+    return [printable(line) for line in text.decode(errors="replace").split("\n")[:-1]]
 
 
 def in_the_way(path: Path, *, folder: bool = False) -> str:

@@ -41,7 +41,7 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 """Columns of the trials that depend on the machine: no digest covers them. They hold one value a
 chunk, so a dictionary stores them in less than a bit a trial."""
 
-FOLDERS = ("shards", "methods", "quarantine", ".claims")
+FOLDERS = ("shards", "methods", ".claims")
 SIDE_FOLDERS = ("reception",)
 """Folders of a run; a link in the place of one is refused. The last one holds a file for each method (side.py)."""
 

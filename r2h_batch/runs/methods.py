@@ -1,5 +1,6 @@
 """methods/METHOD.json: the methods of a run folder, and the shards that each has."""
 
+import os
 import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -7,7 +8,7 @@ from typing import Any
 
 from r2h_batch.base.io.read import printable
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.header import Method, Shard, checked, read_json, shard_at, shard_count
+from r2h_batch.runs.header import Method, checked, read_json, shard_at, shard_count
 from r2h_batch.runs.shard import StoredShard, stored_files
 
 _SLUG = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,79}")
@@ -37,13 +38,16 @@ class Entry:
     order: int
     shards: dict[int, StoredShard] = field(default_factory=dict)
 
-    def quarantine_path(self, shard: Shard) -> Path:
-        """The note about a shard that failed for good."""
-        return self.folder / "quarantine" / self.slug / f"{shard.name}.json"
-
     def claim_path(self, number: int) -> Path:
         """The file that a process locks while it works on a shard."""
         return self.folder / ".claims" / f"{self.slug}-{number:06d}"
+
+    def claims(self) -> dict[int, Path]:
+        """The number of every shard with such a file, and the file."""
+        named = re.compile(rf"{re.escape(self.slug)}-(\d{{6,}})")
+        place = self.folder / ".claims"
+        names = sorted(os.listdir(place)) if place.is_dir() else []
+        return {int(found[1]): place / found[0] for n in names if (found := named.fullmatch(n))}
 
     @property
     def data_files(self) -> str:

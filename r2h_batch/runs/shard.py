@@ -32,9 +32,9 @@ from r2h_batch.runs.columns import TABLES, later
 from r2h_batch.runs.files import (
     RunError,
     in_the_way,
-    link_once,
     sha256_of,
     sync_file,
+    sync_folder,
     temporary_name,
 )
 from r2h_batch.runs.header import (
@@ -393,44 +393,18 @@ def write_shard(
             write_page_checksum=True,
         )  # fmt: skip
         sync_file(temporary)
-        digest = sha256_of(temporary)
-        winner = None
-        while winner is None:
-            link_once(temporary, _turn(place, shard))  # else it is another writer's turn
-            winner = finish_storing(place, shard)
-        return winner.name == f"{shard.name}-{digest[:16]}.parquet"
+        if any(place.glob(f"{shard.name}-*.parquet")):
+            return False
+        final = place / f"{shard.name}-{sha256_of(temporary)[:16]}.parquet"
+        os.replace(temporary, final)
+        # of two writers at the same moment, whose rows are equal, the first name stays: readers take it
+        first, *others = sorted(place.glob(f"{shard.name}-*.parquet"))
+        for other in others:
+            other.unlink(missing_ok=True)
+        sync_folder(place)
+        return first == final
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def finish_storing(place: Path, shard: Shard) -> Path | None:
-    """Give the file whose turn it is its name; the stored file, None if there is none.
-
-    Two writers of one shard have other bytes (times, hosts), so other digests, and both names could
-    be linked. So a writer first links its file to a name without a digest, the turn, which only one
-    file can have. A turn ends after a name with a digest is there, and then no other name is given.
-    Any process can end the turn of a writer that was killed: the file is whole.
-    """
-    turn = _turn(place, shard)
-    with suppress(FileNotFoundError):  # another process ended the turn
-        digest = sha256_of(turn)
-        if _named(place, shard) is None:
-            link_once(turn, place / f"{shard.name}-{digest[:16]}.parquet")
-        turn.unlink()
-    return _named(place, shard)
-
-
-def _named(place: Path, shard: Shard) -> Path | None:
-    return min(place.glob(f"{shard.name}-*.parquet"), default=None)
-
-
-def _turn(place: Path, shard: Shard) -> Path:
-    return place / f".{shard.name}.turn"
-
-
-def unfinished_turns(place: Path) -> list[int]:
-    """Numbers of the shards whose turn has not ended."""
-    return [int(p.name[1:7]) for p in place.glob(".[0-9][0-9][0-9][0-9][0-9][0-9].turn")]
 
 
 def _struct(table: pa.Table, trial_id: pa.ChunkedArray) -> pa.Array:

@@ -5,8 +5,7 @@ ids.csv                            what the owner of listed trials calls them: t
 imported-SHA/                      trials that were read from somebody's files, as a benchmark
 methods/METHOD.json                a method, and where its answers come from
 shards/METHOD/000017-SHA.parquet   a shard (`runs.shard`): it is stored when the file exists
-quarantine/METHOD/000017.json      a shard that failed three times, and its errors
-.claims/METHOD-000017              who works on a shard, and how many processes died at it
+.claims/METHOD-000017              who works on a shard, or died at it
 reception/METHOD.parquet           what `r2h-batch results` made of the rows (side.py)
 """
 
@@ -374,15 +373,6 @@ class Run:
         """
         entry = self.entry(method)
         return [s for s in shards_of(entry.header) if s.index not in entry.shards]
-
-    def quarantined(self, method: str) -> list[Shard]:
-        """Missing shards of a method that failed three times in the last attempt.
-
-        Args:
-            method: its name in the run.
-        """
-        entry = self.entry(method)
-        return [s for s in self.missing(method) if entry.quarantine_path(s).exists()]
 
     def trials(self, method: str, columns: Sequence[str] | None = None) -> pa.Table:
         """One row per trial in planned order.

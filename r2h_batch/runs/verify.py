@@ -15,10 +15,17 @@ from r2h_batch.base.io.parquet import refused_parquet
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import is_drawn
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.runs.files import RunError, claim, in_the_way
+from r2h_batch.runs.files import RunError, claim, drop_remains, in_the_way
 from r2h_batch.runs.header import SIDE_FOLDERS, Shard, shard_at
 from r2h_batch.runs.methods import Entry, read_methods
-from r2h_batch.runs.shard import ANSWERED, StoredShard, damage, number_of, shard_files
+from r2h_batch.runs.shard import (
+    ANSWERED,
+    StoredShard,
+    damage,
+    number_of,
+    shard_files,
+    shard_folder,
+)
 from r2h_batch.runs.side import HOW, side_files, unbounded
 
 
@@ -134,7 +141,8 @@ def first_problem(folder: Path, entries: Sequence[Entry]) -> str:
 
 
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
-    """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again.
+    """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again. What writers that were killed
+    left half-written is removed.
 
     A shard that looks wrong is looked at again under its claim: meanwhile another part of the
     sweep may have stored it.
@@ -143,6 +151,8 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
         One line for each file.
     """
     entries = {e.name: e for e in read_methods(folder, header)}
+    places = [shard_folder(folder, e.slug) for e in entries.values()]
+    drop_remains(folder, folder / "methods", *places, *(folder / name for name in SIDE_FOLDERS))
     seen = problems_of(entries.values())
     lines = [set_aside(p) for p in seen if p.shard is None]
     for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):

@@ -6,7 +6,7 @@ import os
 import re
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,8 @@ from r2h_batch.runs.files import (
     Claim,
     RunError,
     claim,
-    deaths_of,
-    drop_second_names,
+    died_at,
     owner_of,
-    replace_json,
-    set_deaths,
     write_json_once,
 )
 from r2h_batch.runs.header import (
@@ -38,17 +35,14 @@ from r2h_batch.runs.header import (
     read_header,
     run_hash,
     schema_of,
-    shard_at,
     shards_of,
 )
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.shard import (
     count_outcomes,
     drop_set_aside,
-    finish_storing,
     shard_folder,
     stored_files,
-    unfinished_turns,
     write_shard,
 )
 from r2h_batch.runs.store import IMPORTED
@@ -57,7 +51,7 @@ from r2h_batch.runs.verify import not_as_planned
 SHARD_TRIALS = 100_000
 """Trials of a shard unless the user sets another number."""
 TRIES = 3
-"""A shard is quarantined after this many deaths or errors."""
+"""A sweep goes on without a shard after this many deaths or errors."""
 
 OTHER_OUT = "choose another --out"
 
@@ -91,8 +85,6 @@ class RunFolder:
     def __init__(self, folder: Path, header: dict[str, Any], command: Sequence[str]) -> None:
         self.folder, self.header, self.command = folder, header, _printable_words(command)
         self.entries = {e.name: e for e in read_methods(folder, header)}
-        for part in (folder, folder / "methods"):
-            drop_second_names(part)
 
     def register(self, method: str, source: Mapping[str, Any]) -> None:
         """Add a method; `RunError` if the folder has one of this name from another source."""
@@ -121,14 +113,22 @@ class RunFolder:
         return set(stored_files(self.header, self.folder, entry.slug))
 
     def todo(self, method: str, part: tuple[int, int] = (1, 1)) -> list[Shard]:
-        """Shards still to score, of part I of N (every N-th shard)."""
-        place = shard_folder(self.folder, self.entries[method].slug)
-        drop_second_names(place)
-        for number in unfinished_turns(place):  # of writers that were killed
-            if (shard := shard_at(self.header, number)) is not None:
-                finish_storing(place, shard)
-        done = self.stored(method)
-        return [s for s in shards_of(self.header)[part[0] - 1 :: part[1]] if s.index not in done]
+        """Shards still to score, of part I of N (every N-th shard): those at which processes died come last.
+
+        A shard that an earlier sweep went on without is tried again.
+        """
+        entry, done = self.entries[method], self.stored(method)
+        own = [s for s in shards_of(self.header)[part[0] - 1 :: part[1]] if s.index not in done]
+        claims, died = entry.claims(), {}
+        for number in claims.keys() & done:  # their processes died right after they had stored them
+            with suppress(OSError), claim(claims[number]):
+                pass
+        for shard in own if claims else ():
+            if path := claims.get(shard.index):
+                died[shard.index] = len(died_at(path))
+                if died[shard.index] > TRIES:
+                    path.unlink(missing_ok=True)
+        return sorted(own, key=lambda s: died.get(s.index, 0))
 
     @contextmanager
     def claim(self, method: str, shard: Shard) -> Iterator[Claim | None]:
@@ -144,26 +144,6 @@ class RunFolder:
     def claimed_by(self, method: str, shard: Shard) -> str:
         """Who works on the shard, or did last: `process 7 on HOST`; empty if that is not known."""
         return owner_of(self.entries[method].claim_path(shard.index))
-
-    def deaths(self, method: str, shard: Shard) -> int:
-        """How many processes died while they scored the shard; a stored shard has no count."""
-        return deaths_of(self.entries[method].claim_path(shard.index))
-
-    def quarantined(self, method: str, shard: Shard) -> bool:
-        """Whether the shard was given up."""
-        return self.entries[method].quarantine_path(shard).exists()
-
-    def give_another_try(self, method: str, shard: Shard) -> None:
-        """Take back a quarantine: one more death brings it back."""
-        self.entries[method].quarantine_path(shard).unlink(missing_ok=True)
-        if (deaths := self.deaths(method, shard)) > 1:
-            set_deaths(self.entries[method].claim_path(shard.index), min(deaths, TRIES) - 1)
-
-    def quarantine(self, method: str, shard: Shard, errors: Sequence[str]) -> None:
-        """Note that a shard failed for good; the next run of the same command tries it again."""
-        data = {"method": method, "first": shard.first, "last": shard.last}
-        path = self.entries[method].quarantine_path(shard)
-        replace_json(path, {**data, "errors": [printable(e) for e in errors]})
 
     @contextmanager
     def write(self, method: str, shard: Shard) -> Iterator[ShardWriter]:
@@ -196,9 +176,6 @@ class RunFolder:
         place = shard_folder(self.folder, entry.slug)
         won = write_shard(place, self.header, method, shard, tables, seconds)
         drop_set_aside(place, shard.index)
-        entry.quarantine_path(shard).unlink(missing_ok=True)
-        if self.deaths(method, shard):
-            set_deaths(entry.claim_path(shard.index), 0)
         return won
 
 

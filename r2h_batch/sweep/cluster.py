@@ -213,7 +213,7 @@ def score_on_ray(work: Scoring, request: Request) -> list[str]:
     process writes to the run folder.
 
     An actor or node that dies loses the shard it was at, which is queued again behind the others. After `TRIES`
-    failures a shard is quarantined and the others go on. Ctrl-C stores what is finished. Returns
+    failures a shard is left out and the others go on. Ctrl-C stores what is finished. Returns
     methods as `score_local` does.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
@@ -225,8 +225,6 @@ def score_on_ray(work: Scoring, request: Request) -> list[str]:
     todo = deque((j.name, s) for j in work.jobs for s in folder.todo(j.name, part))
     if not todo:
         return []
-    for name, shard in todo:
-        folder.give_another_try(name, shard)
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
         return _on_cluster(ray, work, request, todo)
 
@@ -321,8 +319,7 @@ def _feed(
                         f"{name}: {what} at shard {shard.index}, which is scored again; the sweep goes on"
                     )
                 else:
-                    work.folder.quarantine(name, shard, errors[task])
-                    LOG.info(f"{name}: shard {shard.index} failed {TRIES} times")
+                    work.go_on_without(name, shard, printable(errors[task][-1]))
                 continue
             except OSError as error:
                 raise _lost(error) from error

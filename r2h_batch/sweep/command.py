@@ -187,7 +187,12 @@ def _score(work: "Scoring", request: "Request") -> int:
         LOG.info(line)
     refused = score_on_ray(work, request) if request.work.cluster else score_local(work)
     names = [j.name for j in work.jobs if j.name not in refused]
-    code = _finish(request.storage, names, alone=request.work.part[1] == 1)
+    for name, shards in work.without.items():
+        which, last = ", ".join(map(str, sorted(shards))), list(shards.values())[-1]
+        words = f"{name}: left out after three tries: shards {which} (the last: {last})"
+        LOG.error(f"{words}; the same command tries them again")
+    alone = request.work.part[1] == 1
+    code = _finish(request.storage, names, alone=alone, without=bool(work.without))
     return 2 if refused else code
 
 
@@ -204,10 +209,10 @@ def _log(stored: "Run", kind: "LoggerName") -> None:
             logger.log({f"{place}/{name}": value for name, value in numbers.items()})
 
 
-def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
+def _finish(storage: "Storage", names: list[str], *, alone: bool, without: bool) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit code.
 
-    `alone`: no other part of this sweep scores what is left.
+    `alone`: no other part of this sweep scores what is left. `without`: it went on without a shard, and has said so.
     """
     from r2h_batch.report import table as report
     from r2h_batch.report.card import write_summary
@@ -215,12 +220,7 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool) -> int:
     from r2h_batch.runs import store as results
 
     stored = results.load_run(storage.folder)
-    code = 0
-    for name in names:
-        if bad := [str(s.index) for s in stored.quarantined(name)]:
-            words = f"{storage.folder}/quarantine says why; the same command tries them again"
-            LOG.error(f"{name}: quarantined after three tries: shards {', '.join(bad)}; {words}")
-            code = 1
+    code = 1 if without else 0
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
     if left and not code:
         code = 1 if alone else 0

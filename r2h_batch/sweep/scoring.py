@@ -4,7 +4,7 @@ go on."""
 import contextlib
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,6 +110,13 @@ class Scoring:
     folder: RunFolder
     stopping: Callable[[], bool]
     progress: ProgressFile
+    without: dict[str, dict[int, str]] = field(default_factory=dict)
+    """method -> number of a shard that the sweep goes on without -> why its last try ended"""
+
+    def go_on_without(self, name: str, shard: Shard, why: str) -> None:
+        """After `TRIES` tries the other shards are scored, and the command says which one is missing."""
+        LOG.info(f"{name}: shard {shard.index} is left out after {TRIES} tries: {why}")
+        self.without.setdefault(name, {})[shard.index] = why
 
 
 def score_local(work: Scoring) -> list[str]:
@@ -125,11 +132,6 @@ def score_local(work: Scoring) -> list[str]:
         if not todo:
             LOG.info(f"{job.name}: already in the run folder, reused")
             continue
-        for shard in todo:
-            if folder.quarantined(job.name, shard):
-                folder.give_another_try(job.name, shard)
-        # where a process died before comes last: the others are stored first, whatever happens then
-        todo = sorted(todo, key=lambda s: folder.deaths(job.name, s))
         LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
             with steps(f"{job.name}: warming up", 1, ""):
@@ -158,13 +160,12 @@ def _score_job(work: Scoring, job: Job, todo: list[Shard], advance: Callable[[in
                     left.append(shard)
                 elif shard.index in (stored := folder.stored(job.name)):
                     advance(shard.last - shard.first)
-                elif claim.deaths >= TRIES:
-                    what = f"the sweep's process ended {claim.deaths} times while it was scored"
-                    folder.quarantine(job.name, shard, [what])
-                    LOG.info(f"{job.name}: shard {shard.index}: {what}")
+                elif len(claim.died) >= TRIES:
+                    claim.kept = True  # for other sweeps; one that starts later tries again
+                    work.go_on_without(job.name, shard, f"{claim.died[-1]} died")
                 else:
                     start = time.perf_counter()
-                    with claim.attempt(), folder.write(job.name, shard) as writer:
+                    with folder.write(job.name, shard) as writer:
                         score_shard(job, shard, writer, work.setting, stopping, advance)
                     seconds = time.perf_counter() - start
                     LOG.debug(f"{job.name}: shard {shard.index} stored after {seconds:.1f} s")

@@ -131,10 +131,9 @@ def test_a_receipt_with_an_odd_field_is_refused_and_its_shard_scored_again(run, 
     assert load_run(run).unfinished == ("m",) and not path.exists()
 
 
-@pytest.mark.parametrize("what", ["shards", "methods", "quarantine", "shards/m", "methods/m.json", "run.json"])
+@pytest.mark.parametrize("what", ["shards", "methods", "shards/m", "methods/m.json", "run.json"])
 def test_a_link_in_place_of_a_part_of_the_folder_is_refused_by_every_command(run, tmp_path, what, capsys):
     moved = tmp_path / "elsewhere"
-    (run / "quarantine").mkdir()
     (run / what).rename(moved)
     (run / what).symlink_to(moved)
     before = sorted(tmp_path.rglob("*"))

@@ -1,7 +1,9 @@
 """Run folders: what is written is read back, whole or not at all, and never mixed with another run."""
 
+import json
 import os
 import signal
+import socket
 import time
 
 import numpy as np
@@ -18,10 +20,13 @@ from made_runs import (
     make_scores,
     store,
     write,
+    write_run,
 )
 
+from r2h_batch.__main__ import main
+from r2h_batch.runs import files
 from r2h_batch.runs import store as run_store
-from r2h_batch.runs.files import RunError, claim, temporary_name
+from r2h_batch.runs.files import RunError, claim, owner_of, temporary_name
 from r2h_batch.runs.header import shards_of
 from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
 from r2h_batch.runs.store import load_run
@@ -224,9 +229,58 @@ def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_c
         os.waitpid(holder, 0)
         os.kill(child, 0)  # it lives
         with claim(tmp_path / "c") as own:
-            assert own is not None
+            assert own is not None and own.died == [f"process {holder} on {socket.gethostname()}"]
+        assert not (tmp_path / "c").exists()
     finally:
         os.kill(child, signal.SIGKILL)
+
+
+def test_a_claim_goes_with_its_block_and_whoever_has_opened_it_before_does_not_hold_one_of_nothing(
+    tmp_path, monkeypatch
+):
+    """Between opening the file and locking it, its holder's block ends: another process may hold the next file by then."""
+    path, opened = tmp_path / "c", files._open_own
+
+    def open_late(place):
+        monkeypatch.setattr(files, "_open_own", opened)
+        with claim(place):
+            return opened(place)
+
+    monkeypatch.setattr(files, "_open_own", open_late)
+    with claim(path) as own, claim(path) as other:
+        assert own is not None and other is None and path.exists()
+    with pytest.raises(OSError, match="full"), claim(path):
+        raise OSError(28, "full")
+    assert not path.exists()
+
+
+@pytest.mark.parametrize("text", ["process 7 on host", "..process 7 on host", "\x1b[2J" * 100_000, ""])
+def test_the_claim_of_a_version_before_or_of_somebody_else_counts_no_death(tmp_path, text):
+    (tmp_path / "c").write_text(text)
+    with claim(tmp_path / "c") as own:
+        assert own.died == [] and owner_of(tmp_path / "c") == f"process {os.getpid()} on {socket.gethostname()}"
+
+
+def test_a_folder_of_before_with_a_quarantine_opens_and_its_shard_is_scored(tmp_path, capsys):
+    run = tmp_path / "run"
+    digest = write_run(run, {"m": np.zeros(12, int), "n": np.zeros(12, int)}, 6, 6, shard_trials=4).digest("m")
+    files_of(run)[1].unlink()
+    (run / "quarantine" / "m").mkdir(parents=True)
+    note = {"method": "m", "first": 4, "last": 8, "errors": ["the sweep's process ended 3 times while it was scored"]}
+    (run / "quarantine" / "m" / "000001.json").write_text(json.dumps(note))
+    (run / ".claims").mkdir(exist_ok=True)
+    (run / ".claims" / "m-000001").write_text("...process 7 on host")
+    assert load_run(run).unfinished == ("m",)
+    main(["report", str(run)])
+    assert "| n " in capsys.readouterr().out and main(["results", "verify", str(run)]) == 0
+    again = open_run(run, load_run(run).header)
+    again.register("m", load_run(run).entry("m").source)
+    assert [s.index for s in again.todo("m")] == [1]
+    trials = made_trials(6, 6)
+    with again.claim("m", again.todo("m")[0]) as own:
+        assert own.died == []
+        store(again, "m", trials, make_scores(trials, np.zeros(12, int)))
+    assert load_run(run).digest("m") == digest and not list((run / ".claims").iterdir())
 
 
 def test_a_run_that_claims_a_million_shards_is_listed_at_once(tmp_path):

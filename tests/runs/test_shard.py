@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 import shutil
+import socket
 import time
 from concurrent.futures import ProcessPoolExecutor
 
@@ -22,12 +23,12 @@ from made_runs import (
     write,
 )
 
-from r2h_batch.runs import shard as shards
-from r2h_batch.runs.files import RunError, link_once, sha256_of
+from r2h_batch.runs.files import RunError, sha256_of, temporary_name
 from r2h_batch.runs.header import shards_of
 from r2h_batch.runs.rows import detail_rows, score_rows
-from r2h_batch.runs.shard import finish_storing, number_of, shard_folder, stored_files
+from r2h_batch.runs.shard import number_of, shard_folder, stored_files
 from r2h_batch.runs.store import load_run
+from r2h_batch.runs.verify import mark_for_rerun
 from r2h_batch.runs.writing import open_run
 
 
@@ -78,59 +79,60 @@ def race(folder, number, start):
 
 
 def test_of_writers_at_the_same_moment_one_is_stored_and_nothing_of_the_others(tmp_path):
+    write(tmp_path / "plain")
+    digest = load_run(tmp_path / "plain").digest("m")
     with ProcessPoolExecutor(4, multiprocessing.get_context("fork")) as pool:
         for k in range(8):
             folder, start = tmp_path / str(k), time.time() + 0.3
-            seen = list(pool.map(race, [folder] * 4, range(4), [start] * 4))
-            assert len({tuple(names) for names in seen}) == 1 and len(seen[0]) == 1  # each saw the stored one, no other
-            assert [p.name for p in shard_folder(folder, "m").iterdir()] == seen[0]
-            load_run(folder)
+            list(pool.map(race, [folder] * 4, range(4), [start] * 4))
+            assert list(shard_folder(folder, "m").iterdir()) == files_of(folder) and len(files_of(folder)) == 1
+            assert load_run(folder).digest("m") == digest  # whoever's they are, the rows are these
 
 
 @pytest.mark.parametrize("killed", ["before its name", "after its name"])
-def test_a_writer_killed_between_the_two_names_of_its_file_has_stored_the_shard(tmp_path, monkeypatch, killed):
-    trials = made_trials(6, 6)
-    folder = tmp_path / "run"
+def test_a_writer_that_is_killed_has_stored_its_shard_or_nothing(tmp_path, monkeypatch, killed):
+    trials, folder = made_trials(6, 6), tmp_path / "run"
     if not (child := os.fork()):
-        names = []
 
-        def die(temporary, final):
-            names.append(final)
-            if len(names) == 1 or killed == "after its name":
-                link_once(temporary, final)
-            if len(names) == 2:
-                os._exit(1)  # no block ends, nothing is removed
+        def die(temporary, final, give=os.replace):
+            if killed == "after its name":
+                give(temporary, final)
+            os._exit(1)  # no block ends, nothing is removed
 
-        monkeypatch.setattr(shards, "link_once", die)
         try:
-            store(open_run(folder, make_header(6, 6)), "m", trials, make_scores(trials, OUTCOMES))
+            run = open_run(folder, make_header(6, 6))
+            run.register("m", {"kind": "test"})
+            (shard,) = run.todo("m")
+            with run.claim("m", shard), run.write("m", shard) as writer:
+                writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
+                monkeypatch.setattr("r2h_batch.runs.shard.os.replace", die)
         finally:
             os._exit(0)
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 1
-    left = sorted(p.name for p in shard_folder(folder, "m").iterdir())
-    assert ".000000.turn" in left and len(left) == (2 if killed.startswith("before") else 3)
-    run = open_run(folder, make_header(6, 6))
+    assert len(list((folder / ".claims").iterdir())) == len(list(shard_folder(folder, "m").iterdir())) == 1
+    run, stored = open_run(folder, make_header(6, 6)), files_of(folder)
     run.register("m", {"kind": "test"})
-    assert run.todo("m") == []
-    assert [p.name for p in shard_folder(folder, "m").iterdir()] == [files_of(folder)[0].name]
-    assert load_run(folder).methods == ("m",)
+    assert [s.index for s in run.todo("m")] == ([] if stored else [0]) and len(stored) == (killed == "after its name")
+    for shard in run.todo("m"):
+        with run.claim("m", shard) as own:
+            assert own.died == [f"process {child} on {socket.gethostname()}"]
+            store(run, "m", trials, make_scores(trials, OUTCOMES))
+    assert list(shard_folder(folder, "m").iterdir()) == files_of(folder) and load_run(folder).methods == ("m",)
+    assert not list((folder / ".claims").iterdir()) and files_of(folder) == (stored or files_of(folder))
 
 
-def test_a_later_writer_ends_the_turn_of_one_that_was_killed_and_its_own_rows_are_not_stored(tmp_path):
-    trials = made_trials(6, 6)
-    write(tmp_path / "first")
-    (first,) = files_of(tmp_path / "first")
-    run = open_run(tmp_path / "run", make_header(6, 6))
-    run.register("m", {"kind": "test"})
-    (shard,) = run.todo("m")
-    place = shard_folder(tmp_path / "run", "m")
-    place.mkdir(parents=True)
-    (place / ".000000.turn").write_bytes(first.read_bytes())
-    with run.write("m", shard) as writer:
-        writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES, t_plan_s=0.9), NAMES))
-    assert [p.name for p in place.iterdir()] == [first.name]
-    assert np.nanmean(load_run(tmp_path / "run").trials("m")["t_plan_s"].to_numpy()) < 0.2
-    assert finish_storing(place, shard) == place / first.name
+def test_what_other_writers_left_when_they_were_killed_goes_with_the_next_sweep_once_it_is_an_hour_old(tmp_path):
+    write(tmp_path / "run")
+    run = tmp_path / "run"
+    left = [temporary_name(run / "run.json"), temporary_name(run / "methods" / "m.json"), run / ".0123456789ab.tmp.md"]
+    own = [run / ".mine.tmp", run / "methods" / ".notes"]
+    for path in (*left, *own):
+        path.write_text("half")
+    assert mark_for_rerun(run, load_run(run).header) == [] and all(p.exists() for p in left)
+    for path in (*left, *own):
+        os.utime(path, (time.time() - 4000,) * 2)
+    assert mark_for_rerun(run, load_run(run).header) == []
+    assert not any(p.exists() for p in left) and all(p.exists() for p in own)
 
 
 def test_rows_of_trials_that_a_shard_does_not_have_are_refused(tmp_path):

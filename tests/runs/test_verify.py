@@ -97,7 +97,7 @@ def test_a_run_json_that_was_edited_is_refused(tmp_path):
         load_run(tmp_path / "run")
 
 
-@pytest.mark.parametrize("when", ["sync_file", "link_once"])
+@pytest.mark.parametrize("when", ["sync_file", "os.replace"])
 def test_a_disk_that_fills_up_leaves_no_partial_shard_and_the_folder_goes_on_after_freeing(tmp_path, monkeypatch, when):
     write(tmp_path / "run", method="first")
 

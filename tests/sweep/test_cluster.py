@@ -11,7 +11,6 @@ import pytest
 from alive import alive, all_end
 from disturbed import DEADLY, SLOW, finish, same_rows, start, stored_shards, wait_for
 from fake_bench import workers
-from made_runs import read_json
 from needs import needs
 
 from r2h_batch.runs import store
@@ -106,19 +105,16 @@ def test_two_sweeps_on_ray_in_one_folder_share_its_shards(tmp_path, undisturbed)
 
 
 @pytest.mark.slow
-def test_a_shard_that_always_kills_its_worker_is_quarantined_listed_and_tried_again_on_resume(tmp_path, undisturbed):
+def test_a_shard_that_always_kills_its_worker_is_left_out_named_and_tried_again_on_resume(tmp_path, undisturbed):
     out, log = tmp_path / "run", tmp_path / "log"
     code, table, error = finish(start(tmp_path, out, DEADLY, *ONE, FAKE_DEADLY="47"))
     assert code == 1 and table == "", error
-    assert f"{DEADLY}: quarantined after three tries: shards 4" in error
+    assert f"{DEADLY}: left out after three tries: shards 4 (the last: " in error
     assert log.read_text() == "x" * 3 and len(stored_shards(out)) == 11
     run = load_run(out)
-    assert [s.index for s in run.missing(DEADLY)] == [s.index for s in run.quarantined(DEADLY)] == [4]
-    noted = read_json(out / "quarantine" / "fake_bench_deadly" / "000004.json")
-    assert (noted["first"], noted["last"], len(noted["errors"])) == (40, 50, 3)
+    assert [s.index for s in run.missing(DEADLY)] == [4]
     code, table, error = finish(start(tmp_path, out, DEADLY, FAKE_DEADLY="-1"))
     assert code == 0 and table.startswith("split,"), error
-    assert not list((out / "quarantine").rglob("*.json"))
     same_rows(out, undisturbed, DEADLY)
 
 
@@ -158,7 +154,7 @@ def test_without_an_address_a_cluster_of_its_own_is_started_and_a_refused_method
     assert code == 2 and SLOW in table and "fake_bench:wrong" not in table, error
     said = [line for line in error.splitlines() if line.startswith("sweep: ")]
     assert len(said) == 1 and said[0].startswith("sweep: method fake_bench:wrong: T_obj_ee is"), error
-    assert "Traceback" not in error and not list(out.glob("quarantine/**/*.json"))
+    assert "Traceback" not in error
     same_rows(out, undisturbed)
 
 
