@@ -2,12 +2,16 @@
 library run for ever, take all memory or crash.
 
 The child gets the opened file as its stdin. It answers with arrays on stdout, or with one line on
-stderr and the exit code `REFUSED`.
+stderr and the exit code `REFUSED`. A `StandingReader` is a child that is asked again and again: small
+files would wait for its start.
 """
 
 from __future__ import annotations
 
+import atexit
+import io
 import json
+import math
 import os
 import subprocess
 import sys
@@ -30,6 +34,8 @@ MEMORY_BYTES = 8 << 30
 MEMORY_PER_BYTE = 40
 """The child's address space: some for the libraries, and some for each byte of the file (text takes
 most)."""
+STANDING_BYTES, STANDING_PER_BYTE = 2 << 30, 12
+"""The same of a child that reads many small files."""
 ASKED_EVERY_S = 0.5
 """How often a child asks whether its parent lives."""
 REFUSED = 3
@@ -61,13 +67,10 @@ def read_in_child(
     """
     size = os.fstat(file.fileno()).st_size
     words = json.dumps({**options, "bytes": size, "seconds": seconds, "parent": os.getpid()})
-    # modules from where this process has them, and from nowhere else: the folder may be the file's,
-    # with a numpy.py in it
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p or os.getcwd() for p in sys.path)}
     with tempfile.TemporaryFile() as answer:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", module, words],
-            stdin=file, stdout=answer, stderr=subprocess.PIPE, env=environment,
+            stdin=file, stdout=answer, stderr=subprocess.PIPE, env=_environment({}),
         )  # fmt: skip
         try:
             error = _wait(child, seconds, doing).decode("utf-8", "replace")
@@ -78,8 +81,7 @@ def read_in_child(
         if child.returncode == REFUSED:
             raise FileError(error.strip().rpartition("\n")[2])
         if child.returncode < 0:
-            cpu = f"takes more than {seconds:g} s of CPU time"
-            raise FileError(f"{cpu}, or ends its reader ({-child.returncode})")
+            raise FileError(_cut_off(seconds, child.returncode))
         if child.returncode:
             raise FileError("cannot be read: its reader ended with an error")
         size = answer.seek(0, os.SEEK_END)
@@ -88,6 +90,97 @@ def read_in_child(
         while answer.tell() < size if count is None else len(arrays) < count:
             arrays.append(np.load(answer, allow_pickle=False))
         return arrays
+
+
+class StandingReader:
+    """A child that reads one file after the other, and ends with this process. One that dies is started again."""
+
+    def __init__(self, module: str, *, seconds: float) -> None:
+        """Starts nothing yet.
+
+        Args:
+            module: run with `python -m`; it calls `answer_often`.
+            seconds: CPU time that the child may take for a file.
+        """
+        self.module, self.seconds = module, seconds
+        self._child: subprocess.Popen[bytes] | None = None
+        self._owner, self._one_at_a_time = 0, threading.Lock()
+
+    def read(self, data: bytes) -> list[Any]:
+        """The arrays that the child answers with; `FileError`: what is wrong with the data, without a file's name."""
+        with self._one_at_a_time:
+            child = self._running()
+            assert child.stdin is not None and child.stdout is not None
+            try:
+                child.stdin.write(len(data).to_bytes(8, "little") + data)
+                child.stdin.flush()
+            except BrokenPipeError:
+                head = b""
+            else:
+                head = child.stdout.read(9)
+            body = child.stdout.read(int.from_bytes(head[1:], "little")) if len(head) == 9 else b""
+            if len(head) < 9 or len(body) < int.from_bytes(head[1:], "little"):
+                self.close()
+                raise FileError(_cut_off(self.seconds, child.returncode))
+        if head[0]:
+            raise FileError(body.decode("utf-8", "replace"))
+        stream, arrays = io.BytesIO(body), []
+        while stream.tell() < len(body):
+            arrays.append(np.load(stream, allow_pickle=False))
+        return arrays
+
+    def close(self) -> None:
+        """End the child, if there is one."""
+        if self._child is not None and self._owner == os.getpid():
+            self._child.kill()
+            self._child.communicate()
+        self._child = None
+
+    def _running(self) -> subprocess.Popen[bytes]:
+        # in a fork of the process that started it, the child is somebody else's
+        if self._child is None or self._owner != os.getpid():
+            line = [sys.executable, "-P", "-m", self.module, str(os.getpid()), str(self.seconds)]
+            own = {"OPENBLAS_NUM_THREADS": "1"}  # each thread reserves address space
+            self._child = subprocess.Popen(
+                line, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, env=_environment(own)
+            )  # fmt: skip
+            self._owner = os.getpid()
+            atexit.register(self.close)
+        return self._child
+
+
+def answer_often(read: Callable[[bytes], Sequence[Any]]) -> int:
+    """The exit code of a `StandingReader`'s child, which sends the arrays of `read(data)` for each file to its parent."""
+    end_with(int(sys.argv[1]))
+    seconds, answer, sys.stdout = float(sys.argv[2]), sys.stdout.buffer, sys.stderr
+    while len(head := sys.stdin.buffer.read(8)) == 8:
+        size = int.from_bytes(head, "little")
+        _limit(
+            math.ceil(time.process_time() + seconds),
+            STANDING_BYTES + STANDING_PER_BYTE * size,
+            again=True,
+        )
+        body, refused = io.BytesIO(), 0
+        try:
+            for array in read(sys.stdin.buffer.read(size)):
+                np.save(body, array, allow_pickle=False)
+        except Exception as error:
+            body, refused = io.BytesIO(_message(error).encode()), 1
+        answer.write(bytes([refused]) + body.getbuffer().nbytes.to_bytes(8, "little"))
+        answer.write(body.getbuffer())
+        answer.flush()
+    return 0
+
+
+def _environment(own: Mapping[str, str]) -> dict[str, str]:
+    """Modules from where this process has them, and from nowhere else: the folder may be the file's,
+    with a numpy.py in it."""
+    path = os.pathsep.join(p or os.getcwd() for p in sys.path)
+    return {**os.environ, **own, "PYTHONPATH": path}
+
+
+def _cut_off(seconds: float, code: int) -> str:
+    return f"takes more than {seconds:g} s of CPU time, or ends its reader ({-code})"
 
 
 def _wait(child: subprocess.Popen[bytes], seconds: float, doing: str) -> bytes:
@@ -119,15 +212,8 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
             np.save(answer, array, allow_pickle=False)
         answer.flush()
         return 0
-    except MemoryError:
-        message = _NO_MEMORY
-    except FileError as error:
-        message = str(error)
-    except RuntimeError as error:  # torch has no class of its own for it
-        message = _NO_MEMORY if "can't allocate memory" in str(error) else _other(error)
     except Exception as error:  # readers raise whatever their parser meets
-        message = _other(error)
-    sys.stderr.write(f"\n{message}")
+        sys.stderr.write(f"\n{_message(error)}")
     return REFUSED
 
 
@@ -143,13 +229,19 @@ def end_with(parent: int) -> None:
     threading.Thread(target=watch, daemon=True).start()
 
 
-def _other(error: Exception) -> str:
+def _message(error: Exception) -> str:
+    """What the parent is told: the message of a `FileError`, of any other error its type too."""
+    if isinstance(error, FileError):
+        return str(error)
+    # torch has no class of its own for it
+    if isinstance(error, MemoryError) or "can't allocate memory" in str(error):
+        return _NO_MEMORY
     words = " ".join(printable(error).split())[:300]
     return f"cannot be read: {type(error).__name__}: {words}"
 
 
-def _limit(seconds: int, memory: int) -> None:
-    """CPU time and address space of this process, where the system has such limits."""
+def _limit(seconds: int, memory: int, *, again: bool = False) -> None:
+    """CPU time and address space of this process, where the system has such limits; `again`: they may be set anew."""
     try:
         import resource
     except ImportError:
@@ -157,4 +249,5 @@ def _limit(seconds: int, memory: int) -> None:
     for kind, most in ((resource.RLIMIT_CPU, seconds), (resource.RLIMIT_AS, memory)):
         _, hard = resource.getrlimit(kind)  # a child of a child has no more than its parent
         most = most if hard == resource.RLIM_INFINITY else min(most, hard)
-        resource.setrlimit(kind, (most, most if kind == resource.RLIMIT_CPU else hard))
+        final = kind == resource.RLIMIT_CPU and not again
+        resource.setrlimit(kind, (most, most if final else hard))
