@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from typing import TypeVar
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.learning.ahead import Ahead
+from r2h_batch.learning.drawing import Drawing
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.family_objects import Planned, family_objects, planned_objects
 from r2h_batch.scene.objects import (
@@ -28,24 +28,24 @@ class Source:
 
     Attributes:
         benchmark: its objects, and all that are shipped, are refused, under whatever name.
-        groups: of the instances, those that are learned from together: their places in `ahead`.
-        ahead: draws them.
+        groups: of the instances, those that are learned from together: their places in `drawing`.
+        drawing: draws them.
         own: objects of the user's, in place of both.
         regions: how many more times each instance is there, each time with a region at random.
     """
 
     benchmark: Benchmark
     groups: tuple[tuple[int, ...], ...]
-    ahead: Ahead | None
+    drawing: Drawing | None
     own: Instances
     regions: int
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the instances, without those with other regions."""
-        if self.ahead is None:
+        if self.drawing is None:
             return tuple(o.name for o in self.own)
-        return tuple(self.ahead.planned[k].name for group in self.groups for k in group)
+        return tuple(self.drawing.planned[k].name for group in self.groups for k in group)
 
     def group(self, number: int) -> Instances:
         """The objects of a group, in their order, without those with other regions.
@@ -56,7 +56,7 @@ class Source:
         Raises:
             ValueError: an object is one of the benchmark or a shipped one.
         """
-        found = self.own if self.ahead is None else self.ahead.objects(self.groups[number])
+        found = self.own if self.drawing is None else self.drawing.objects(self.groups[number])
         refuse_tested(self.benchmark, found)
         return found
 
@@ -78,7 +78,7 @@ def sources(
         leave_out: categories (`cup`), names of instances (`cup_s1005_03`), or patterns of either (`*_03`).
         regions: how many more times each is there, each time with a region at random.
         renewed: whether a group has one instance of each category; else all are one group.
-        workers: processes that draw; None: as `Ahead`.
+        workers: processes that draw; None: as `Drawing`.
 
     Raises:
         FileError: a text that names no families.
@@ -97,16 +97,16 @@ def sources(
         planned = tuple(sorted(planned, key=lambda p: p.index))
     kept_ones, others = split(planned, leave_out)
     evaluator = EvalConfig()
-    ahead = Ahead((*kept_ones, *others), benchmark.robot, evaluator.candidates, workers)
+    drawing = Drawing((*kept_ones, *others), benchmark.robot, evaluator.candidates, workers)
     found: list[Source | None] = []
-    place = {one: k for k, one in enumerate(ahead.planned)}
+    place = {one: k for k, one in enumerate(drawing.planned)}
     for some in (kept_ones, others):
         by_group = [[place[p] for p in some]]
         if renewed:
             indices = dict.fromkeys(p.index for p in some)
             by_group = [[place[p] for p in some if p.index == i] for i in indices]
         groups = tuple(tuple(g) for g in by_group)
-        found.append(Source(benchmark, groups, ahead, (), regions) if some else None)
+        found.append(Source(benchmark, groups, drawing, (), regions) if some else None)
     assert found[0] is not None
     return found[0], found[1]
 

@@ -188,12 +188,12 @@ class Pairs(IterableDataset[dict[str, Tensor]]):
     @property
     def drawing(self) -> tuple[int, ...]:
         """Ids of the processes that draw instances ahead."""
-        return self._source.ahead.running if self._source.ahead is not None else ()
+        return self._source.drawing.running if self._source.drawing is not None else ()
 
     def close(self) -> None:
         """End the processes that draw instances ahead, if there are some left; the stream still works."""
-        if self._source.ahead is not None:
-            self._source.ahead.close()
+        if self._source.drawing is not None:
+            self._source.drawing.close()
 
     def __iter__(self) -> Iterator[dict[str, Tensor]]:
         """The items in their order; of W workers each yields every W-th, so that a DataLoader gives the same order."""

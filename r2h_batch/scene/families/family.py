@@ -11,7 +11,9 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from importlib import import_module
+from importlib.machinery import PathFinder
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -112,6 +114,16 @@ class Family:
     roles: Mapping[str, str] | None = None
     """part -> function, grasp or wrap: what people take it by where there is no receiver's region"""
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        """By its generator's name, which stands for it (`family`): another process imports the same one."""
+        module = self.make.__module__
+        if module != "__main__" and "." not in module and PathFinder.find_spec(module) is None:
+            raise FamilyError(
+                f"family {self.category}: a process that is no fork cannot import {module}, from a FILE.py under a name that is"
+                " taken; give the file another name"
+            )
+        return _by_name, (module, self.make.__name__)
+
     @cached_property
     def instruction(self) -> str:
         """The sentence that asks for an instance."""
@@ -123,6 +135,10 @@ class Family:
                 "to human",
             )
         )
+
+
+def _by_name(module: str, name: str) -> Any:
+    return getattr(import_module(module), name)
 
 
 FAMILIES: Registry[Family] = Registry(

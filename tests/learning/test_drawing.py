@@ -2,20 +2,23 @@
 
 import contextlib
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+import time
+from concurrent.futures import ProcessPoolExecutor
 from itertools import islice
 
 import pytest
 import torch
-from alive import alive, all_end, until
+from alive import alive, all_end, children_of, until
 from rounds import each
 from torch.utils.data import DataLoader
 
 from r2h_batch import load_benchmark
-from r2h_batch.learning.ahead import Ahead
+from r2h_batch.learning.drawing import Drawing
 from r2h_batch.learning.rank import CHECKPOINT, Recipe, Training, train_ranker
 from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
 from r2h_batch.scene.families.kept import was_drawn
@@ -58,7 +61,8 @@ def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_
         forget()
         pairs = stream(load_benchmark(), FAMILIES, workers=workers, **SIZES)
         assert len(pairs.left_out.names if pairs.left_out else pairs.names) == 6
-        runs += [[*pairs], [*DataLoader(pairs, batch_size=None, num_workers=2)], [pairs.item(i) for i in range(7)]]
+        loaded = [[*DataLoader(pairs, None, num_workers=2, multiprocessing_context=how)] for how in ("fork", "spawn")]
+        runs += [[*pairs], *loaded, [pairs.item(i) for i in range(7)]]
         pairs.close()
     for run in each(runs[1:]):
         assert len(run) == 7 and all(same(a, b) for a, b in zip(runs[0], run, strict=True))
@@ -90,94 +94,115 @@ def test_the_next_instances_take_the_place_of_those_before_and_the_first_come_ag
 def test_other_processes_draw_what_comes_later_while_this_one_has_the_first(cold):
     planned = planned_objects(f"families:{FAMILIES}")
     first = [k for k, p in enumerate(planned) if p.index == 0]
-    ahead = Ahead(planned, load_robot(), "filtered", workers=2)
-    assert len(ahead.running) == 2
-    found = ahead.objects(first)
+    drawing = Drawing(planned, load_robot(), "filtered", workers=2)
+    assert len(drawing.running) == 2
+    found = drawing.objects(first)
     assert [o.name for o in found] == ["knife_s1009_00", "bottle_s1009_00"]
-    assert until(lambda: all(there(planned)) and not ahead.running, 90)
+    assert until(lambda: all(there(planned)) and not drawing.running, 90)
     drawn = len([*(cold / "candidates").glob("*.npz")])
     assert drawn == 6
-    ahead.close()
-    again = Ahead(planned, load_robot(), "filtered", workers=2)
+    drawing.close()
+    again = Drawing(planned, load_robot(), "filtered", workers=2)
     assert not again.running  # nothing is left to draw
 
 
-def test_what_a_killed_process_had_begun_is_drawn_here(cold, tmp_path, monkeypatch):
-    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+def test_the_loader_says_that_a_process_was_killed_and_what_it_had_begun_is_drawn_here(cold):
     planned = planned_objects(f"families:{FAMILIES}")
-    ahead = Ahead(planned, load_robot(), "filtered", workers=1)
-    for pid in each(ahead.running):
+    drawing = Drawing(planned, load_robot(), "filtered", workers=1)
+    (pid,) = drawing.running
+    with pytest.raises(RuntimeError, match="killed by signal"):  # torch's word
         os.kill(pid, signal.SIGKILL)
-    assert until(lambda: not ahead.running, 10)
-    (claims,) = tmp_path.glob("r2h_batch_*")
-    (claims / planned[4].name).touch()  # it has claimed this one, and not drawn it
-    found = ahead.objects(range(6))
+        time.sleep(20)
+    assert until(lambda: not drawing.running, 10)
+    found = drawing.objects(range(6))
     assert all(isinstance(o, ObjectModel) for o in found) and all(there(planned))
-    ahead.close()
+    drawing.close()
+
+
+def test_a_process_that_may_start_none_draws_alone(cold):
+    """A stream that is made in a worker of somebody's DataLoader."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("fork"), initializer=daemonic) as pool:
+        assert pool.submit(drawn_in_a_daemon).result() == ([], "knife_s1009_00")
+
+
+def daemonic():
+    multiprocessing.current_process()._config["daemon"] = True
+
+
+def drawn_in_a_daemon():
+    drawing = Drawing(planned_objects("families:knife x 1 seed 9"), load_robot(), "filtered", workers=1)
+    return [*drawing.running], drawing.objects([0])[0].name
 
 
 def test_without_a_cache_on_disk_nobody_else_draws(monkeypatch):
     monkeypatch.setenv("R2H_BATCH_CACHE", "off")
     forget()
-    ahead = Ahead(planned_objects("families:knife x 1 seed 9"), load_robot(), "filtered", workers=2)
-    assert not ahead.running and [o.name for o in ahead.objects([0])] == ["knife_s1009_00"]
-    ahead.close()
+    drawing = Drawing(planned_objects("families:knife x 1 seed 9"), load_robot(), "filtered", workers=2)
+    assert not drawing.running and [o.name for o in drawing.objects([0])] == ["knife_s1009_00"]
+    drawing.close()
     forget()
 
 
 PROGRAM = """
-import json, os, sys, time
+import json, multiprocessing, os, sys, time
 from r2h_batch import load_benchmark
 from r2h_batch.training import stream
-pairs = stream(load_benchmark(), {families!r}, renew=1, workers=2, pairs=4, trials=8)
-print(json.dumps({{"running": pairs.drawing}}), flush=True)
-sys.stdin.readline()
-{then}
+if __name__ == "__main__":
+    {first}
+    pairs = stream(load_benchmark(), {families!r}, renew=1, workers=2, pairs=4, trials=8)
+    print(json.dumps({{"running": pairs.drawing}}), flush=True)
+    sys.stdin.readline()
+    {then}
 """
+SPAWN = "multiprocessing.set_start_method('spawn')"
+DATA_LOADER = "from torch.utils.data import DataLoader; [0 for x in DataLoader(pairs, batch_size=None, num_workers=2)]"
 ENDS = {
-    "the end of the program": "",
-    "an error": "raise RuntimeError('mine')",
-    "the stream is used no longer": "del pairs; time.sleep(60)",
-    "a fork ends": "os.fork() or sys.exit(); os.wait(); print(json.dumps(pairs.drawing), flush=True); time.sleep(60)",
-    "ctrl-c": "[None for item in pairs]",
-    "ctrl-c to its workers": (
-        "from torch.utils.data import DataLoader\n[0 for x in DataLoader(pairs, batch_size=None, num_workers=2)]"
+    "the end of the program": ("", ""),
+    "the end of the program, spawned": (SPAWN, ""),
+    "an error": ("", "raise RuntimeError('mine')"),
+    "the stream is used no longer": ("", "del pairs; time.sleep(60)"),
+    "it is closed": ("", "pairs.close(); print(json.dumps(pairs.drawing), flush=True); time.sleep(60)"),
+    "a fork ends": (
+        "",
+        "own = multiprocessing.get_context('fork').Process(target=int); own.start(); own.join();"
+        " print(json.dumps(pairs.drawing), flush=True); time.sleep(60)",
     ),
-    "a kill": "[None for item in pairs]",
+    "ctrl-c": ("", "[None for item in pairs]"),
+    "ctrl-c to its workers": ("", DATA_LOADER),
+    "a kill": ("", "[None for item in pairs]"),
+    "a kill, spawned": (SPAWN, "[None for item in pairs]"),
+    "a kill, of a server's forks": (SPAWN.replace("spawn", "forkserver"), "[None for item in pairs]"),
 }
 
 
 @pytest.mark.parametrize("how", ENDS)
 def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
-    program = PROGRAM.format(families=MANY, then=ENDS[how])
-    env = {**os.environ, "R2H_BATCH_CACHE": str(tmp_path / "cache"), "TMPDIR": str(tmp_path)}
+    first, then = ENDS[how]
+    program = tmp_path / "program.py"
+    program.write_text(PROGRAM.format(families=MANY, first=first, then=then))
+    env = {**os.environ, "R2H_BATCH_CACHE": str(tmp_path / "cache")}
     child = subprocess.Popen(
-        [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        [sys.executable, str(program)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
         env=env, start_new_session=True,
     )  # fmt: skip
     try:
-        told = json.loads(child.stdout.readline())
-        pids = told["running"]
+        pids = json.loads(child.stdout.readline())["running"]
         assert len(pids) == 2 and all(map(alive, pids))
-        (claims,) = tmp_path.glob("r2h_batch_*")
         child.stdin.write("go on\n"), child.stdin.flush()
         if how == "a fork ends":
-            assert json.loads(child.stdout.readline()) == pids
-        elif how.startswith("ctrl-c"):
-            assert until(lambda: len([*(tmp_path / "cache" / "objects").glob("*.npz")]) > 2, 180)
-            os.killpg(child.pid, signal.SIGINT)
-        elif how == "a kill":
-            child.kill()
-        if how == "a fork ends":
-            assert all(map(alive, pids)) and claims.is_dir()
+            assert json.loads(child.stdout.readline()) == pids and all(map(alive, pids))
             child.terminate()
+        elif how == "it is closed":
+            assert json.loads(child.stdout.readline()) == [] and not any(map(alive, pids))
+        elif how.startswith(("ctrl-c", "a kill")):
+            assert until(lambda: len([*(tmp_path / "cache" / "objects").glob("*.npz")]) > 2, 180)
+            pids += children_of(child.pid)
+            os.killpg(child.pid, signal.SIGINT) if how.startswith("ctrl-c") else child.kill()
         assert all_end(pids, 60)
-        if how in ("the stream is used no longer", "a fork ends"):
+        if how in ("the stream is used no longer", "it is closed"):
             child.kill()
         error = child.communicate(timeout=60)[1]
-        if how not in ("a kill", "a fork ends"):
-            assert not claims.exists()
-        assert "learning/ahead" not in error.replace("\\", "/") or how == "ctrl-c", error
+        assert "DataLoader worker" not in error
         assert error.count("Traceback") <= (1 if "workers" not in how else 9), error
     finally:
         with contextlib.suppress(ProcessLookupError):
