@@ -9,6 +9,7 @@ files would wait for its start.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import io
 import json
 import math
@@ -34,7 +35,7 @@ MEMORY_BYTES = 8 << 30
 MEMORY_PER_BYTE = 40
 """The child's address space: some for the libraries, and some for each byte of the file (text takes
 most)."""
-STANDING_BYTES, STANDING_PER_BYTE = 2 << 30, 12
+STANDING_BYTES, STANDING_PER_BYTE = 1 << 30, 12
 """The same of a child that reads many small files."""
 ASKED_EVERY_S = 0.5
 """How often a child asks whether its parent lives."""
@@ -111,14 +112,21 @@ class StandingReader:
         with self._one_at_a_time:
             child = self._running()
             assert child.stdin is not None and child.stdout is not None
+            late = threading.Timer(MOST_WAITS * self.seconds, child.kill)
+            late.daemon = True
+            late.start()
+            head, body = b"", b""
             try:
-                child.stdin.write(len(data).to_bytes(8, "little") + data)
-                child.stdin.flush()
-            except BrokenPipeError:
-                head = b""
-            else:
-                head = child.stdout.read(9)
-            body = child.stdout.read(int.from_bytes(head[1:], "little")) if len(head) == 9 else b""
+                with contextlib.suppress(BrokenPipeError):
+                    child.stdin.write(len(data).to_bytes(8, "little") + data)
+                    child.stdin.flush()
+                    head = child.stdout.read(9)
+                    body = child.stdout.read(int.from_bytes(head[1:], "little"))
+            except BaseException:  # Ctrl-C: the answer would come to the next file
+                self.close()
+                raise
+            finally:
+                late.cancel()
             if len(head) < 9 or len(body) < int.from_bytes(head[1:], "little"):
                 self.close()
                 raise FileError(_cut_off(self.seconds, child.returncode))
