@@ -93,7 +93,7 @@ def change(tree: Path, name: str) -> None:
 
 @pytest.mark.parametrize("kind", DECIDE)
 def test_a_file_that_decides_rows_is_another_code_and_its_room_is_named(tree, kind):
-    for name in DECIDE[kind]:
+    for name in each(DECIDE[kind]):
         before, parts = provenance.code_digest(), provenance.code_parts()
         change(tree, name)
         assert provenance.code_digest() != before, name
@@ -108,7 +108,7 @@ def test_a_file_that_decides_rows_is_another_code_and_its_room_is_named(tree, ki
 @pytest.mark.parametrize("kind", READ)
 def test_a_file_that_decides_no_row_is_the_same_code(tree, kind):
     before = provenance.code_digest()
-    for name in READ[kind]:
+    for name in each(READ[kind]):
         change(tree, name)
         assert provenance.code_digest() == before, name
 
