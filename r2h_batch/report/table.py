@@ -52,7 +52,7 @@ from r2h_batch.report.trained import sentences
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import IN_ORDER, NO_LONGER, SPLITS, UNITS, CriterionEntry
+from r2h_batch.verdicts import ELSEWHERE, IN_ORDER, NO_LONGER, SPLITS, UNITS, CriterionEntry
 
 FORMATS = ("md", "latex", "csv", "json")
 
@@ -647,7 +647,7 @@ def record(row: Row) -> dict[str, Any]:
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     others = {entry.name for rate, entry in ASKED_FAILURES.items() if rate not in row.rates}
-    others |= {name for name in NO_LONGER if not row.counts[name]}
+    others |= {name for name in (*NO_LONGER, ELSEWHERE) if not row.counts[name]}
     return fields | {f"n_{name}": n for name, n in row.counts.items() if name not in others}
 
 

@@ -238,7 +238,7 @@ def end_with(parent: int) -> None:
 
 
 def _message(error: Exception) -> str:
-    """What the parent is told: the message of a `FileError`, of any other error its type too."""
+    """The message of a `FileError`; of any other error its type too."""
     if isinstance(error, FileError):
         return str(error)
     # torch has no class of its own for it
