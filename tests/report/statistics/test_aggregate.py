@@ -13,7 +13,7 @@ from r2h_batch.report.statistics import aggregate, breakdown
 from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES, TRIAL_SCHEMA
-from r2h_batch.verdicts import EVERY, REGISTRY, SPLITS, Outcome
+from r2h_batch.verdicts import ELSEWHERE, EVERY, NO_LONGER, REGISTRY, SPLITS, Outcome
 
 
 def table_of(outcome, split=None, objects=None, t_plan_s=None):
@@ -81,7 +81,7 @@ def test_the_interval_of_a_mean_rate_covers():
 def test_rates_add_up_to_100_with_invalid_and_missing_counted_separately():
     counts = {"success": 5, "stability": 4, "plan": 3, "reach": 2, "affordance": 1, "safe": 6}
     counts |= {"invalid_input": 7, "invalid_sim": 8, "missing": 9}
-    further = dict.fromkeys((e.name for e in EVERY[5:]), 0)
+    further = dict.fromkeys((*(e.name for e in EVERY[5:]), *NO_LONGER, ELSEWHERE), 0)
     outcome = np.repeat([OUTCOME_NAMES.index(name) for name in counts], list(counts.values()))
     row = aggregate.split_row(tally_of(outcome, np.ones(45)), "S1")
     assert row.n == 45

@@ -11,7 +11,7 @@ from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.statistics import thresholds as others
-from r2h_batch.runs.rows import score_rows
+from r2h_batch.runs.rows import OUTCOME_NAMES, score_rows
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
@@ -74,7 +74,7 @@ def test_every_setting_counts_what_scoring_with_it_counts(made):
         thresholds = {k: getattr(point, k) for k in grid}
         outcome = scored(trials, distance, width, clearance, thresholds).outcome.numpy()
         expected = np.stack(
-            [np.bincount(outcome[part], minlength=len(Outcome) + 1) for part in (slice(0, 3000), slice(3000, 6000))]
+            [np.bincount(outcome[part], minlength=len(OUTCOME_NAMES)) for part in (slice(0, 3000), slice(3000, 6000))]
         )
         assert np.array_equal(point.counts["m"], expected), thresholds
         assert point.undecided["m"] == 0
@@ -147,7 +147,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
         grid = {"reach_radius_m": [radius], "w_max_m": [width], "safe_margin_m": [safe]}
         (point,) = others.rethreshold(load_run(tmp_path), **grid)
         expected = np.stack(
-            [np.bincount(outcome[part], minlength=len(Outcome) + 1) for part in (slice(0, n), slice(n, 2 * n))]
+            [np.bincount(outcome[part], minlength=len(OUTCOME_NAMES)) for part in (slice(0, n), slice(n, 2 * n))]
         )
         assert np.array_equal(point.counts["random"], expected)
         assert point.undecided["random"] == 0
