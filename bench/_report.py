@@ -30,6 +30,24 @@ FIGURES_SINCE = (
 """(version, benches, reason): a person adds a line when a change moves figures of these benches ("*": of all). Figures of an
 earlier version may not stand on a page (tests/test_figures.py)."""
 
+EARLIER = frozenset(
+    {
+        "attacks",
+        "closed_loop",
+        "families",
+        "judge_again",
+        "learn",
+        "people",
+        "robots",
+        "robustness",
+        "sees",
+        "strangers",
+    }
+)
+"""Benches of rates, two hours of them, that were measured before subjects went from the package (CHANGELOG, Gone) and not since.
+docs/results/sources.md names each with its commit. Outcomes of golden and of all published rows are the same since. Whoever
+measures one again takes it out."""
+
 PACKAGES = (
     "warp-lang",
     "torch",

@@ -7,7 +7,7 @@ called where `make bench` does not say it, stands here.
 from pathlib import Path
 from typing import Any
 
-from _report import ROOT, markdown_table
+from _report import EARLIER, ROOT, markdown_table
 
 HERE = "docs/results/sources.md"
 ROWS = {
@@ -48,6 +48,10 @@ Each table has its command in its JSON (`docs/results/NAME.json`, `provenance`).
 `python COMMAND` makes a JSON of `bench/results`, and the pages show its figures. `make stale` lists how long each took and on
 which commit. Where no rows are named the command makes them. A command of more than 120 s without rows is a gap: its rows are
 not stored.
+
+`*`: rates of a commit before subjects went from the package (CHANGELOG, Gone), not measured again since. Later code judged
+golden's trials and all rows of the tables `table1-*` again: no outcome differs.
+
 {benches}
 
 `docs/results/sensitivity.json` and `table1-v1-choices.json` have the command of each variant. One takes at most two minutes.
@@ -90,8 +94,9 @@ def page(published: Any) -> str:
     benches = []
     for name, own in sorted(of_bench.items()):
         command = f"`{COMMANDS.get(name, f'bench/{name}.py')}`"
-        benches.append([name, shown(name, own), command, ROWS.get(name, "")])
+        commit = measured[name].data["commit"][:12] + (" *" if name in EARLIER else "")
+        benches.append([name, shown(name, own), command, ROWS.get(name, ""), commit])
     return PAGE.format(
         tables=markdown_table(["table", "rows", "flags", "number", "commit"], folders(published), left=True),
-        benches=markdown_table(["JSON", "pages", "command", "rows"], benches, left=True),
+        benches=markdown_table(["JSON", "pages", "command", "rows", "commit"], benches, left=True),
     )
