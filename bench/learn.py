@@ -690,7 +690,8 @@ TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n}
 RECEIVED = """## Can the person take it?
 
 Percent of the first {of} shipped rows of each split (motion simulated). Received: the receiver could take the object
-([reception](reception.md)). The column stands again with success of the trial. Brackets: the 95 % interval for all categories.
+([reception](reception.md)) from where a simulated closing had put it: r2h_batch 0.3 judged these rows. The column stands again
+with success of the trial. Brackets: the 95 % interval for all categories.
 The last three lines are {first} less {second} on the same trials, in points. Their parentheses count the trials that only
 {first} has, and those that only {second} has.
 

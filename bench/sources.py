@@ -50,8 +50,8 @@ which commit. Where no rows are named the command makes them. A command of more 
 not stored.
 
 `*`: rates of a commit before subjects went from the package (CHANGELOG, Gone), not measured again since. Later code judged
-golden's trials and all rows of the tables `table1-*` again: no outcome differs. But in `reception`, `whole`
-and a line of `learn` the object is where a simulated closing had put it, and Received takes it elsewhere now.
+golden's trials and all rows of the tables `table1-*` again: no outcome differs. But in `whole` and in a
+table of `learn` the object is where a simulated closing had put it, and Received takes it elsewhere now.
 
 {benches}
 

@@ -81,7 +81,7 @@ judge and the start of the program are in it, and the time that threads of a net
 """
 OLDER = """r2h_batch 0.3 judged these rows, by a criterion more: Taken asked whether a simulated person had the object in the end.
 Nobody judges by it any more. What fails there counts as a failure here. Received took the object where a simulated closing had
-put it, some millimetres beside the place of the other criteria.
+put it, up to 3 cm beside the place of the other criteria.
 
 """
 SHARD = 128
