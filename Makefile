@@ -4,16 +4,27 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
+.PHONY: help demo test test-all test-touched lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
 
 help:  ## this list
-	@sed -n 's/^\([a-z]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
 
 demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small number of trials
 	$(BIN)/python -m r2h_batch.sweep --method random oracle --splits S0 S1 --trials 60 --out runs/demo
 
-test: lint  ## linters, types, and all tests but the slow ones; tells what was left out and how to get it
-	$(BIN)/python -m pytest -q --durations=25
+# Two processes, each with one thread of torch and BLAS: more threads than cores only wait for each other.
+TOGETHER := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=25
+
+test: lint  ## linters, types, and the tests of every day, in some ten minutes; tells what was left out and how to get it
+	$(TOGETHER) -m "not slow and not gpu and not whole and not alone"
+	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole"
+
+test-all: lint  ## every test that needs no GPU: before a release
+	$(TOGETHER) -m "not gpu and not alone"
+	$(BIN)/python -m pytest -q -m "alone and not gpu"
+
+test-touched: $(VENV)/.installed-test  ## of test-all beyond test, the parts whose sources a change touches (tests/touched.tsv)
+	parts=$$($(BIN)/python tools/touched.py) && if [ -n "$$parts" ]; then $(TOGETHER) -m "$$parts"; fi
 
 lint: $(VENV)/.installed-test  ## rules, formatting, types
 	$(BIN)/ruff check .

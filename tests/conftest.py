@@ -52,7 +52,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def pytest_deselected(items: list[pytest.Item]) -> None:
     left_out = items[0].config.stash.setdefault(LEFT_OUT, Counter())
     for item in items:
-        for kind in ("gpu", "slow"):
+        for kind in ("gpu", "slow", "whole"):
             if item.get_closest_marker(kind):
                 left_out[kind] += 1
                 break
@@ -65,6 +65,8 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
         skipped[reason("gpu")] += left_out["gpu"]
     if left_out["slow"]:
         skipped["time: whole counts, minutes to hours: python -m pytest -m slow"] += left_out["slow"]
+    if left_out["whole"]:
+        skipped["time: all pages, the site, golden of all benchmarks: python -m pytest -m whole"] += left_out["whole"]
     own = f"{sys.version_info[0]}.{sys.version_info[1]}"
     others = [v for v in INTERPRETERS if v != own]
     if not skipped:

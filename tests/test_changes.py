@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from changed_tree import Tree, changed_tree
 
+pytestmark = pytest.mark.whole(part="changes")
 MOST_FILES = 2
 OF_A_CRITERION = (
     "tests/judge/test_metrics.py::test_touching_passes_where_the_paper_says_so",

@@ -86,6 +86,7 @@ def site(tmp_path_factory, scene):
 
 
 @needs("mkdocs", "viser", "pandas")
+@pytest.mark.whole(part="site")
 def test_the_site_fetches_nothing_and_holds_the_notebooks_with_what_they_show(site):
     page = (site / "reference" / "python.html").read_text(encoding="utf-8")
     assert "load_benchmark" in page and "r2h_batch.evaluate.Evaluator" in page

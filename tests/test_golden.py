@@ -4,18 +4,21 @@ import json
 from pathlib import Path
 
 import pytest
-from golden import CASES, GOLDEN, compute, holds, sweep_digests
+from golden import CASES, GOLDEN, PARTS, compute, holds, sweep_digests
 
 from r2h_batch.scene.robot import load_robot, write_robot
 
 QUICK = ("pose", "none")
-MARKED = [pytest.param(case, marks=pytest.mark.check if case in QUICK else ()) for case in CASES]
+EVERY_DAY = [
+    pytest.param(case, PARTS.get(case), id=case, marks=pytest.mark.check if case in QUICK else ()) for case in CASES
+]
+WHOLE = [pytest.param(case, None, id=f"{case}-whole", marks=pytest.mark.whole(part="golden")) for case in PARTS]
 
 
-@pytest.mark.parametrize("case", MARKED)
-def test_nothing_has_changed(case: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("case", "method"), EVERY_DAY + WHOLE)
+def test_nothing_has_changed(case: str, method: str | None, tmp_path: Path) -> None:
     stored = json.loads(GOLDEN.read_text())
-    found = compute(case, tmp_path)
+    found = compute(case, tmp_path, method)
     assert found and set(found) <= set(stored["cases"])
     for name, part in found.items():
         kind = holds(stored, name)

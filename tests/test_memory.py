@@ -68,6 +68,7 @@ def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
         assert there.rows_at_once("pose") == POSE_CHUNK_CUDA and there.rows_at_once("all") == CUDA_ROWS
 
 
+@pytest.mark.alone
 def test_hundreds_of_calls_of_one_row_take_no_more_memory_than_the_first() -> None:
     judge = Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
     trials = load_benchmark("r2h-v1").trials(2)

@@ -18,12 +18,20 @@ def follow(folder, pages, *more):
     return {page: "" if re.search(r"^\d+ ran$", text, re.MULTILINE) else text[-3000:] for page, text in said.items()}
 
 
+EVERY_DAY = ("README.md", "docs/tutorial.md")
+"""Pages that `make test` follows; `make test-all` follows all."""
+MARKED = [page if page in EVERY_DAY else pytest.param(page, marks=pytest.mark.whole(part="pages")) for page in PAGES]
+
+
 @pytest.fixture(scope="module")
-def followed(tmp_path_factory):
-    return follow(tmp_path_factory.mktemp("pages"), list(PAGES))
+def followed(request, tmp_path_factory):
+    """The last words of the pages that are asked of in this run: one process has the imports of all."""
+    params = [getattr(item, "callspec", None) for item in request.session.items if item.path == request.path]
+    asked = {p.params.get("page") for p in params if p}
+    return follow(tmp_path_factory.mktemp("pages"), [page for page in PAGES if page in asked])
 
 
-@pytest.mark.parametrize("page", PAGES)
+@pytest.mark.parametrize("page", MARKED)
 def test_a_page_runs(followed, page):
     assert followed[page] == ""
 
@@ -33,9 +41,9 @@ def has_slow_parts(page):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", [*filter(has_slow_parts, PAGES)])
-def test_a_page_runs_with_its_slow_parts(page, tmp_path):
-    assert follow(tmp_path, [page], "--slow") == {page: ""}
+@pytest.mark.parametrize("slow_page", [*filter(has_slow_parts, PAGES)])
+def test_a_page_runs_with_its_slow_parts(slow_page, tmp_path):
+    assert follow(tmp_path, [slow_page], "--slow") == {slow_page: ""}
 
 
 @pytest.mark.check

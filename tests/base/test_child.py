@@ -5,6 +5,7 @@ import subprocess
 import sys
 import time
 
+import pytest
 from alive import alive, all_end
 
 READER = """
@@ -29,6 +30,7 @@ with open(__file__, "rb") as file:
 """
 
 
+@pytest.mark.alone
 def test_a_reader_ends_with_a_parent_that_is_killed(tmp_path):
     (tmp_path / "endless_reader.py").write_text(READER)
     (tmp_path / "parent.py").write_text(PARENT)

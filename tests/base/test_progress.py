@@ -4,6 +4,8 @@ import re
 import threading
 import time
 
+import pytest
+
 from r2h_batch.base.command_line import exit_code_of
 from r2h_batch.base.io import progress as progress_file
 from r2h_batch.base.io.log import LOG, lines_said, telling
@@ -43,6 +45,7 @@ def test_the_speed_is_that_of_what_had_to_be_done(monkeypatch):
     assert speed <= 2 / 0.5 and left >= 52 / 4 - 1
 
 
+@pytest.mark.alone
 def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
     monkeypatch.setattr(progress_file, "SILENT_S", 0.1)
     monkeypatch.setattr(progress_file, "SOON_S", 0.1)
@@ -73,6 +76,7 @@ def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.alone
 def test_a_command_says_that_it_works_again_where_it_falls_silent_and_not_beside_what_is_counted(monkeypatch, capsys):
     for name in ("SILENT_S", "SOON_S"):
         monkeypatch.setattr(progress_file, name, 0.1)

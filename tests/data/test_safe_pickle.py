@@ -188,6 +188,7 @@ def test_pickles_that_take_long_elsewhere_are_read_harmlessly(name):
     assert found == value
 
 
+@pytest.mark.alone
 def test_the_process_that_reads_is_not_shared_with_a_fork_and_ends_with_its_parent():
     read_pickle(pickle.dumps([1]))
     end = os.fork()

@@ -197,6 +197,7 @@ def only_ompl(p: Problems, *, budget_s: float) -> list[tuple[int, float]]:
     return missed
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(("n", "budget_s"), [(N, 5.0), pytest.param(4096, 10.0, marks=pytest.mark.slow)])
 def test_almost_nothing_that_ompl_solves_is_missed(n, budget_s):
     p = problems(n)

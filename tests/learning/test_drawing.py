@@ -106,6 +106,7 @@ def test_other_processes_draw_what_comes_later_while_this_one_has_the_first(cold
     assert not again.running  # nothing is left to draw
 
 
+@pytest.mark.alone
 def test_the_loader_says_that_a_process_was_killed_and_what_it_had_begun_is_drawn_here(cold):
     planned = planned_objects(f"families:{FAMILIES}")
     drawing = Drawing(planned, load_robot(), "filtered", workers=1)
@@ -175,6 +176,7 @@ ENDS = {
 }
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("how", ENDS)
 def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
     first, then = ENDS[how]

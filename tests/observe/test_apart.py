@@ -274,6 +274,7 @@ def test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_p
     assert said in str(refused.value) and "\n" not in str(refused.value) and apart.process_id is None
 
 
+@pytest.mark.alone
 def test_a_process_that_was_killed_is_started_anew_and_one_that_nobody_asks_ends(tmp_path):
     from alive import alive
 

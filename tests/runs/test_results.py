@@ -208,6 +208,7 @@ def test_two_writers_of_one_shard_leave_the_rows_of_the_first_and_no_files_of_th
     assert len(files_of(tmp_path / "run")) == 1 and not list((tmp_path / "run").rglob("*.tmp"))
 
 
+@pytest.mark.alone
 def test_a_claim_is_given_to_one_at_a_time_and_falls_with_its_process_though_a_child_of_that_lives(tmp_path):
     """The child: such as a server that a method forked."""
     with claim(tmp_path / "c") as first, claim(tmp_path / "c") as second:

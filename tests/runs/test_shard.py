@@ -78,6 +78,7 @@ def race(folder, number, start):
     return [p.name for p in files_of(folder)]
 
 
+@pytest.mark.alone
 def test_of_writers_at_the_same_moment_one_is_stored_and_nothing_of_the_others(tmp_path):
     write(tmp_path / "plain")
     digest = load_run(tmp_path / "plain").digest("m")
@@ -89,6 +90,7 @@ def test_of_writers_at_the_same_moment_one_is_stored_and_nothing_of_the_others(t
             assert load_run(folder).digest("m") == digest  # whoever's they are, the rows are these
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize("killed", ["before its name", "after its name"])
 def test_a_writer_that_is_killed_has_stored_its_shard_or_nothing(tmp_path, monkeypatch, killed):
     trials, folder = made_trials(6, 6), tmp_path / "run"

@@ -62,19 +62,23 @@ SWEEPS = {
     "panda_hand": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--robot", "panda_hand")),
 }
 CASES = (*ENGINES, "pose", "gradients", "redraws", *SWEEPS)
+PARTS = dict.fromkeys(ENGINES, "oracle") | {
+    case: sweep.methods[-1] for case, sweep in SWEEPS.items() if case != FAMILIES and len(sweep.methods) > 1
+}
+"""Case -> the method whose rows stand for all where all would take too long. The default benchmark is always whole."""
 
 
-def compute(case: str, folder: Path) -> dict[str, dict[str, str]]:
-    """Digest and outcomes of each part of a case of `CASES`; an engine's also of an export."""
+def compute(case: str, folder: Path, method: str | None = None) -> dict[str, dict[str, str]]:
+    """Digest and outcomes of each part of a case of `CASES`, or of one `method`'s; an engine's whole also of an export."""
     if case in SWEEPS:
-        return _swept(case, folder)
+        return _swept(case, folder, (method,) if method else SWEEPS[case].methods)
     made = {"pose": _candidates, "gradients": _gradients, "redraws": _redraws}
-    return made[case]() if case in made else sweep_digests(case, folder)
+    return made[case]() if case in made else sweep_digests(case, folder, (method,) if method else METHODS)
 
 
-def _swept(case: str, folder: Path) -> dict[str, dict[str, str]]:
+def _swept(case: str, folder: Path, methods: tuple[str, ...]) -> dict[str, dict[str, str]]:
     """Rows of a case of `SWEEPS`, with who the receivers are."""
-    benchmark, methods, flags = SWEEPS[case]
+    benchmark, _, flags = SWEEPS[case]
     if case == "mesh":
         flags += _mesh_flags(folder)
     line = ["--method", *methods, "--benchmark", benchmark, "--trials", str(ROWS // 2), *flags]

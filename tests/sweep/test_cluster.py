@@ -17,7 +17,7 @@ from r2h_batch.runs import store
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import cluster
 
-pytestmark = needs("ray")
+pytestmark = [needs("ray"), pytest.mark.alone]
 
 
 RAY = ("--engine", "ray", "--workers", "2")

@@ -21,6 +21,8 @@ from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.results.command import verify
 
+pytestmark = pytest.mark.alone
+
 
 def test_kill_9_of_the_process_loses_one_shard_at_most(tmp_path, undisturbed):
     out = tmp_path / "run"

@@ -131,6 +131,7 @@ def test_the_viewer_lists_what_is_filtered_and_a_folders_words_are_text_and_no_m
         viewer.stop()
 
 
+@pytest.mark.alone
 def test_only_its_own_page_may_connect_to_the_viewer_and_odd_messages_do_not_end_it(capfd, caplog):
     """Any page in a browser can open a websocket to this machine; its Origin says whose it is."""
     import viser
