@@ -431,7 +431,6 @@ else:
 def test_a_strangers_family_is_drawn_listed_swept_and_judged_again_without_a_file_of_ours(
     tmp_path: Path, shipped: str
 ) -> None:
-    pytest.importorskip("manifold3d")
     tree = changed_tree(tmp_path / "tree", {}, package={"vases.py": VASE}, points={"family.vase": "vases:VASE"})
     report(tree)
     assert tree.run(READ) == shipped
@@ -445,7 +444,6 @@ def plugins_of(tree: Tree) -> dict[str, dict[str, str]]:
 
 
 def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(tmp_path: Path) -> None:
-    pytest.importorskip("manifold3d")
     own = changed_tree(tmp_path / "own", {}, package={"vases.py": VASE})
     own.run(f"{READ}\nFAMILY = 'vases:VASE'\n{USE_VASE}{NAMED_VASE}")
     assert plugins_of(own)["family.vase"]["module"] == "vases"

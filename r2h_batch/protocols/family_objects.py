@@ -86,7 +86,7 @@ def family_objects(text: str, given: str = OBJECTS) -> tuple[ObjectModel, ...]:
         given: as of `planned_objects`.
 
     Raises:
-        FileError: not of this form, an unknown category, more than `MOST` instances, or no manifold3d.
+        FileError: not of this form, an unknown category, or more than `MOST` instances.
     """
     return _drawn(planned_objects(text, given))
 
@@ -124,8 +124,6 @@ def _read(text: str, prefix: str) -> tuple[tuple[Family, ...], int, int, bool]:
         names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
         names = known if names == ["*"] else names
         families = tuple(_own(n) if ":" in n else _named(n, known) for n in names)
-    except ModuleNotFoundError as error:
-        raise FileError(f"families need {error.name}; pip install 'r2h_batch[build]'") from None
     except PluginError as error:
         raise FileError(str(error)) from None
     if len({f.category for f in families}) < len(families):
@@ -158,8 +156,6 @@ def _own(spec: str) -> Family:
     """The family that a module of the user's has under this name."""
     try:
         found: object = load_function(spec).function
-    except ModuleNotFoundError:
-        raise
     except ImportError as error:
         raise FileError(f"{spec}: {' '.join(str(error).split())}") from error
     return _checked(found, spec)

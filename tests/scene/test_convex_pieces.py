@@ -3,12 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
-from needs import needs
 
 from r2h_batch.scene.mesh_import.pieces import convex_pieces
 
 
-@needs("manifold3d")
 def test_a_ring_and_a_thin_cup_are_cut_though_the_first_cut_gains_nothing() -> None:
     from r2h_batch.scene.mesh_import.cut import cut_apart, merge_hulls
 
@@ -22,7 +20,6 @@ def test_a_ring_and_a_thin_cup_are_cut_though_the_first_cut_gains_nothing() -> N
         assert volumes[1] < joined * solid.volume
 
 
-@needs("manifold3d")
 def test_pieces_hold_the_surface_and_little_else() -> None:
     teeth = [trimesh.creation.box((0.01, 0.02, 0.06)).apply_translation([x, 0, 0.02]) for x in (-0.04, -0.01, 0.02)]
     comb = trimesh.boolean.union([trimesh.creation.box((0.09, 0.02, 0.02)), *teeth], engine="manifold")
@@ -38,7 +35,6 @@ def test_pieces_hold_the_surface_and_little_else() -> None:
     assert comb.volume * 0.999 < volume < 1.1 * comb.volume
 
 
-@needs("manifold3d")
 def test_the_plane_that_is_taken_is_the_best_of_all() -> None:
     """Planes that cannot be better are left out; what is found is, bit for bit, what trying each of them finds."""
     from manifold3d import Manifold, Mesh64

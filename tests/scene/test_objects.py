@@ -99,7 +99,7 @@ def test_mass_center_and_inertia_agree_with_mujocos(name):
     assert np.abs(model.inertia - reference).max() < 1e-4 * np.trace(reference)
 
 
-@needs("coacd", "manifold3d")
+@needs("coacd")
 def test_the_build_script_makes_the_committed_arrays_again():
     from r2h_batch.assets.objects.build_objects import SPECS, build
 

@@ -105,7 +105,6 @@ WANTS = {
         "its wheels end at Python 3.11; on later ones it is built from source, which downloads Eigen: pip install ur-analytic-ik",
         lambda: bool(find_spec("ur_analytic_ik")),
     ),
-    "manifold3d": _module("manifold3d", "build"),
 }
 
 

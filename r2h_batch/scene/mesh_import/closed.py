@@ -8,14 +8,12 @@ united. A warning names every step, with the change of volume and how far the su
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import trimesh
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
@@ -213,26 +211,28 @@ def _cleaned(
 
 def _welded(mesh: trimesh.Trimesh, label: str, done: list[str]) -> trimesh.Trimesh:
     """The mesh with vertices on rims that are nearly the same made one, where that leaves fewer
-    rims."""
-    tree = cKDTree(mesh.vertices)
+    rims.
+
+    Needed where the sides of a solid were tessellated one by one: a block whose six sides are 1 um
+    apart keeps 5 % of its volume without it.
+    """
+    opened = open_edges(mesh)
+    rim = np.unique(mesh.faces[opened])
+    tree = cKDTree(mesh.vertices[rim])
     near = int(tree.count_neighbors(tree, WELD_M))  # a heap in one place has a square of pairs
-    if near > MOST_WELDS * len(mesh.vertices):
+    if near > MOST_WELDS * len(rim):
         raise ObjectMeshError(
             f"{label}: {near} pairs of vertices are nearer than {WELD_M * 1e3:g} mm; merge them first"
         )
-    rim = np.zeros(len(mesh.vertices), bool)
-    rim[mesh.faces[open_edges(mesh)]] = True
-    pairs = tree.query_pairs(WELD_M, output_type="ndarray")
-    pairs = pairs[rim[pairs].all(axis=1)]
-    count = len(mesh.vertices)
-    graph = coo_matrix((np.ones(len(pairs)), tuple(pairs.T)), (count, count))
-    label_of = connected_components(graph, False)[1]
-    _, first, same = np.unique(label_of, return_index=True, return_inverse=True)
+    same = np.arange(len(mesh.vertices))
+    for together in trimesh.grouping.clusters(mesh.vertices[rim], WELD_M):
+        same[rim[together]] = rim[together].min()
     notes: list[str] = []
-    welded = _cleaned(mesh.vertices[first], same.reshape(-1)[mesh.faces], notes)
-    if open_edges(welded).sum() >= open_edges(mesh).sum():
+    welded = _cleaned(mesh.vertices, same[mesh.faces], notes)
+    if open_edges(welded).sum() >= opened.sum():
         return mesh
-    done += [f"welded {count - len(first)} vertices nearer than {WELD_M * 1e3:g} mm", *notes]
+    count = int((same < np.arange(len(same))).sum())
+    done += [f"welded {count} vertices nearer than {WELD_M * 1e3:g} mm", *notes]
     return welded
 
 
@@ -359,7 +359,12 @@ def _without_slivers(
 
 def _filled(mesh: trimesh.Trimesh, size: float, budget: Budget, done: list[str]) -> trimesh.Trimesh:
     """The mesh with rims that run side by side joined, and holes and flat openings of few corners
-    closed by a fan around the middle of their rim; `size` is the object's largest side, m."""
+    closed by a fan around the middle of their rim; `size` is the object's largest side, m.
+
+    Measured on 19 meshes of Sweet Home 3D and those of `tests/scene/test_mesh_faults.py`, against
+    the winding solid alone. Holes: it lies 0.05 to 9.3 mm away on ten of the 19. Rims side by side:
+    a plastic cup is 0.6 mm away and a sixth larger. Flat openings: a block becomes a hollow shell.
+    """
     if not len(mesh.faces):
         return mesh
     import igl
@@ -405,7 +410,13 @@ def _lips(
 ) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
     """Strips of faces (N, 3) between rims that are nowhere farther apart than `gap` (m), and the
     other rims."""
-    rims, strips = list(_rims(mesh)), []
+    import igl
+
+    loops = igl.boundary_loop_all(np.ascontiguousarray(mesh.faces, np.int64))
+    rims = [
+        np.roll(loop[::-1], int(np.argmin(loop)) + 1) for loop in loops
+    ]  # the least corner first
+    rims, strips = sorted(rims, key=lambda rim: int(rim[0])), []
     boxes = np.array([_box(mesh.vertices[rim]) for rim in rims]).reshape(-1, 6)
     free = np.ones(len(rims), bool)
     large = (boxes[:, 3:] - boxes[:, :3]).max(axis=1) > 4 * gap  # smaller rims bound holes
@@ -470,22 +481,6 @@ def _is_polygon(ring: NDArray[np.float64]) -> bool:
     sides = ring[: half + 1], np.concatenate([ring[half:], ring[:1]])
     corners = [len(igl.ramer_douglas_peucker(np.ascontiguousarray(s), slack)[0]) - 1 for s in sides]
     return sum(corners) <= MOST_CORNERS
-
-
-def _rims(mesh: trimesh.Trimesh) -> Iterator[NDArray[np.int64]]:
-    """Closed rims that touch no other, as vertices that run against the faces they bound."""
-    edge = edge_numbers(mesh)
-    follow: dict[int, list[int]] = {}
-    for a, b in mesh.edges[np.bincount(edge)[edge] == 1].tolist():
-        follow.setdefault(b, []).append(a)
-    used: set[int] = set()
-    for start in sorted(follow):
-        loop = [start]
-        while loop[-1] not in used and len(follow.get(loop[-1], ())) == 1:
-            used.add(loop[-1])
-            loop.append(follow[loop[-1]][0])
-        if len(loop) >= 4 and loop[-1] == start:
-            yield np.array(loop[:-1])
 
 
 def _outwards(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:

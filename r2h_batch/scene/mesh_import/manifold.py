@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import trimesh
+from manifold3d import Manifold, Mesh64
 from numpy.typing import NDArray
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from r2h_batch.scene.mesh_import.limits import Budget, ObjectMeshError
+from r2h_batch.scene.mesh_import.limits import Budget
 
 
 def connected_bodies(
@@ -61,15 +62,14 @@ def united(mesh: trimesh.Trimesh, budget: Budget) -> trimesh.Trimesh | None:
 
     Bodies wound inwards are taken away from the others.
     """
-    manifold = _manifold3d(budget.label, "unite its overlapping bodies")
     body, volumes, _ = connected_bodies(mesh)
-    total, hollow = manifold.Manifold(), manifold.Manifold()
+    total, hollow = Manifold(), Manifold()
     for k, volume in enumerate(volumes):
         budget.spend(f"uniting {len(volumes)} bodies", k / len(volumes))
         part = part_of(mesh, body == k)
         if volume < 0:
             part.invert()
-        solid = _solid(manifold, part)
+        solid = _solid(part)
         if solid.is_empty():
             return None
         if volume > 0:
@@ -86,8 +86,7 @@ def simplified(
 
     The mesh is empty where manifold3d does not take it.
     """
-    manifold = _manifold3d(budget.label, f"decimate its {len(mesh.faces)} faces to {most}")
-    solid = _solid(manifold, mesh)
+    solid = _solid(mesh)
     if solid.is_empty():
         return trimesh.Trimesh(), 0.0
     small, moved = solid.simplify(tolerance), tolerance
@@ -100,32 +99,19 @@ def simplified(
 
 
 def simplified_to(mesh: trimesh.Trimesh, tolerance: float) -> trimesh.Trimesh:
-    """A closed mesh with less detail than `tolerance` (m); unchanged where manifold3d is missing or
-    does not take it."""
-    try:
-        solid = _solid(_manifold3d("", ""), mesh).simplify(tolerance)
-    except ObjectMeshError:
-        return mesh
+    """A closed mesh with less detail than `tolerance` (m); unchanged where manifold3d does not take
+    it."""
+    solid = _solid(mesh).simplify(tolerance)
     return mesh if solid.is_empty() else _from_solid(solid)
 
 
-def _manifold3d(label: str, purpose: str) -> Any:
-    try:
-        import manifold3d
-    except ImportError as error:
-        raise ObjectMeshError(
-            f"{label}: manifold3d is needed to {purpose}; `pip install 'r2h_batch[build]'`, or repair the mesh first"
-        ) from error
-    return manifold3d
-
-
-def _solid(manifold: Any, mesh: trimesh.Trimesh) -> Any:
+def _solid(mesh: trimesh.Trimesh) -> Manifold:
     vertices = np.array(mesh.vertices, np.float64, order="C")
-    return manifold.Manifold(manifold.Mesh64(vertices, np.array(mesh.faces, np.uint64, order="C")))
+    return Manifold(Mesh64(vertices, np.array(mesh.faces, np.uint64, order="C")))
 
 
-def _from_solid(solid: Any) -> trimesh.Trimesh:
-    mesh = solid.to_mesh64()
+def _from_solid(solid: Manifold) -> trimesh.Trimesh:
+    mesh: Any = solid.to_mesh64()
     return trimesh.Trimesh(
         np.asarray(mesh.vert_properties)[:, :3],
         np.asarray(mesh.tri_verts).astype(np.int64),

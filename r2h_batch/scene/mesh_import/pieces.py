@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
+from r2h_batch.scene.mesh_import.cut import cut_apart, inflate_to_cover, merge_hulls
 from r2h_batch.scene.mesh_import.manifold import simplified_to
 
 MAX_PIECES = 16
@@ -37,8 +38,8 @@ def convex_hull(points: NDArray[np.float64]) -> Hull:
 
 
 def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> list[Hull]:
-    """At most 16 convex pieces (float32, m); the hull as a single piece where manifold3d, or for
-    `fine` coacd, is not installed.
+    """At most 16 convex pieces (float32, m); for `fine` the hull as a single piece where coacd is
+    not installed.
 
     A slightly simpler surface is cut by planes (`cut_apart`), parts are joined again where that
     costs the least (`merge_hulls`), and these pieces are grown until no point of the surface is more than
@@ -50,20 +51,19 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
         fine: pieces as those of the built-in objects, by CoACD alone (fixed seed), thirty times the time; they leave up to
             0.1 mm outside.
     """
-    needed = "coacd" if fine else "manifold3d"
-    if importlib.util.find_spec(needed) is None:
+    if not fine:
+        return _by_planes(solid)
+    if importlib.util.find_spec("coacd") is None:
         warnings.warn(
-            f"{label}: {needed} is not installed, so the convex pieces are the hull alone; "
+            f"{label}: coacd is not installed, so the convex pieces are the hull alone; "
             "`pip install 'r2h_batch[build]'` for a convex decomposition",
             stacklevel=3,
         )
         return [convex_hull(solid.vertices)]
-    return _fine(solid) if fine else _quick(solid)
+    return _fine(solid)
 
 
-def _quick(solid: trimesh.Trimesh) -> list[Hull]:
-    from r2h_batch.scene.mesh_import.cut import cut_apart, inflate_to_cover, merge_hulls
-
+def _by_planes(solid: trimesh.Trimesh) -> list[Hull]:
     parts = merge_hulls(cut_apart(_simpler(solid)), MAX_PIECES, SPARE * float(solid.volume))
     # a square metre of triangles with edges this long has 2.3 / apart^2 corners
     apart = max(APART_M, float(np.sqrt(4 * solid.area / MOST_POINTS)))
