@@ -45,6 +45,10 @@ def convex_pieces(solid: trimesh.Trimesh, label: str, *, fine: bool = False) -> 
     costs the least (`merge_hulls`), and these pieces are grown until no point of the surface is more than
     0.05 mm outside all of them (`inflate_to_cover`: each triangle, cut to 3 mm, lies in one).
 
+    CoACD would do this at once. On 40 objects (`bench/pieces.py`, few iterations) it takes three times the CPU (median 1.5 s
+    against 0.5 s; more than 6 s for eight, 115 s for one), leaves one surface 6.8 mm outside, and its pieces hold more volume
+    that is not the object's on 35.
+
     Args:
         solid: a closed surface, metres.
         label: its name in warnings.
