@@ -6,20 +6,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from r2h_batch.base.table import NA, Table, document, notes_list, of_lines, plain
 from r2h_batch.report.figures import make_figure, style
 from r2h_batch.report.statistics.aggregate import FAILURES, Rate, wilson_interval
 from r2h_batch.report.statistics.intervals import over_clusters, paired_score_interval
 from r2h_batch.report.statistics.paired import Pair, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import HEADINGS, table_of
-from r2h_batch.report.text import (
-    NA,
-    aligned,
-    legend,
-    notes_list,
-    plain,
-    short_names,
-)
+from r2h_batch.report.text import legend, short_names
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import Outcome
 
@@ -185,7 +179,7 @@ def render(found: Robustness) -> str:
         found: what `robustness` gives.
     """
     short = short_names([c.method for c in found.curves])
-    names = [plain(short[c.method]) for c in found.curves]
+    names = [short[c.method] for c in found.curves]
     rows = [
         [name, *(f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}]" for r in c.sr), _points(c.area)]
         for name, c in zip(names, found.curves, strict=True)
@@ -196,26 +190,25 @@ def render(found: Robustness) -> str:
         for name, c in zip(names, found.curves, strict=True)
         for i, level in enumerate(found.levels)
     ]
-    parts = [
-        "SR",
-        aligned(["Method", *found.levels, "area"], rows, 1),
-        "Points of SR lost",
-        aligned(["Method", *found.levels[1:]], lost, 1),
-        "First failures",
-        aligned(["Method", "error", *(HEADINGS[key] for key in FAILURES)], failures, 2),
+    head = ["Method", "error", *(HEADINGS[key] for key in FAILURES)]
+    parts: list[Table | str] = [
+        of_lines(["Method", *found.levels, "area"], rows, title="SR", own=True),
+        of_lines(["Method", *found.levels[1:]], lost, title="Points of SR lost"),
+        of_lines(head, failures, left=2, title="First failures"),
     ]
     if found.pairs[0]:
         marks = {"better": "**", "worse": "**", "better here": "*", "worse here": "*"}
         pairs = [
             [
-                *(plain(short[name]) for name in (level[0].a, level[0].b)),
+                *(short[name] for name in (level[0].a, level[0].b)),
                 *(f"{p.difference:+.1f}{marks.get(p.verdict, '')}" for p in level),
             ]
             for level in zip(*found.pairs, strict=True)
         ]
-        parts += ["Pairs: A-B", aligned(["A", "B", *found.levels], pairs, 2)]
+        head = ["A", "B", *found.levels]
+        parts.append(of_lines(head, pairs, left=2, title="Pairs: A-B", own=True))
     parts.append(notes_list([*map(plain, legend(short)), *NOTES]))
-    return "\n\n".join(parts) + "\n"
+    return document(parts)
 
 
 def _points(estimate: Estimate) -> str:

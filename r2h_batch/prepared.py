@@ -18,7 +18,7 @@ from r2h_batch.base.launch import cpu_threads
 from r2h_batch.base.launch.memory import in_chunks, rows_at_once
 from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
-from r2h_batch.base.summary import html_table
+from r2h_batch.base.table import of_lines
 from r2h_batch.base.validate import instance_of, optional, suggest_names
 from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.judge.execution_error import executed_poses
@@ -260,9 +260,8 @@ class Prepared(ABC):
 
     def _repr_html_(self) -> str:
         limits = vars(self.config.thresholds).items()
-        return html_table(
-            repr(self), ("limit", "value"), [(name, f"{value:g}") for name, value in limits]
-        )
+        lines = [(name, f"{value:g}") for name, value in limits]
+        return of_lines(("limit", "value"), lines, title=repr(self)).html()
 
     @abstractmethod
     def score(

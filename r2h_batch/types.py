@@ -13,6 +13,7 @@ from torch.nn.functional import pad
 
 from r2h_batch.base import summary
 from r2h_batch.base.soft import in_metres, soft_success
+from r2h_batch.base.table import of_lines
 from r2h_batch.base.validate import describe_value, instance_of, integer, one_of, sequence_of
 from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
@@ -223,9 +224,8 @@ class Trials(_Rows):
         ids, hands = self.trial_id.tolist(), self.hand_index.tolist()
         rows = [(str(t), s, o, str(h)) for t, s, o, h in zip(ids, self.splits, names, hands)]
         more = [("...", "", "", "")] if len(rows) > SHOWN_ROWS else []
-        return summary.html_table(
-            repr(self), ("trial", "split", "object", "hand"), rows[:SHOWN_ROWS] + more
-        )
+        head = ("trial", "split", "object", "hand")
+        return of_lines(head, rows[:SHOWN_ROWS] + more, title=repr(self)).html()
 
 
 SHOWN_ROWS = 10
@@ -431,7 +431,7 @@ class Scores(_Rows):
 
     def _repr_html_(self) -> str:
         head = ("criterion", "evaluated", "pass", "median margin, mm", "5 % margin, mm")
-        return summary.html_table(repr(self), head, self._table())
+        return of_lines(head, self._table(), title=repr(self)).html()
 
     def summary(self) -> str:
         """A few lines: outcomes, and each criterion with its pass rate and margins."""

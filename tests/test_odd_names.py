@@ -16,7 +16,7 @@ from r2h_batch.report import page
 from r2h_batch.report.compare.text import render as render_comparison
 from r2h_batch.report.statistics.paired import compare, pair_up
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.report.text import short_names, tex
+from r2h_batch.report.text import short_names
 from r2h_batch.types import Outcome
 
 ODD = (

@@ -2,7 +2,6 @@
 logger. No torch, no pandas."""
 
 from collections.abc import Callable, Mapping, Sequence
-from html import escape
 from typing import Any
 
 import numpy as np
@@ -21,15 +20,6 @@ def counted(n: int, word: str) -> str:
 def share(part: int, whole: int) -> str:
     """Percent with one digit."""
     return f"{100 * part / whole:.1f} %" if whole else "none"
-
-
-def html_table(title: str, head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table as notebooks show it; everything is escaped."""
-    top = "".join(f"<th>{escape(word)}</th>" for word in head)
-    cells = ["".join(f"<td>{escape(word)}</td>" for word in row) for row in rows]
-    body = "".join(f"<tr>{row}</tr>" for row in cells)
-    thead = f"<thead><tr>{top}</tr></thead>" if head else ""
-    return f"<p><b>{escape(title)}</b></p><table>{thead}<tbody>{body}</tbody></table>"
 
 
 def outcome_counts(outcome: Array) -> dict[str, int]:

@@ -6,8 +6,8 @@ from pathlib import Path
 import yaml
 
 from r2h_batch.base.io.write import write_text
+from r2h_batch.base.table import plain
 from r2h_batch.report.table import render, table_of
-from r2h_batch.report.text import plain
 from r2h_batch.runs.store import Run
 
 TABLE, RESULTS, CARD = "table.md", "results.json", "README.md"

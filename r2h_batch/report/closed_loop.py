@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.report.text import aligned, notes_list, percent_text, plain, rate_text, short_names
+from r2h_batch.base.table import PERCENT, RATE, Column, Table, document, notes_list, plain
+from r2h_batch.report.text import hits_fields, short_names
 from r2h_batch.runs.store import Run
 
 __all__ = ["render"]
@@ -29,52 +30,64 @@ SHOWN = ("contact", "collision", "drop", "not_received", "timeout")
 def render(run: Run) -> str:
     """Tables of all methods of a run that holds episodes, as text that ends in a newline."""
     short = short_names(run.methods)
-    ends, went = [], []
+    short = short_names(run.methods)
+    records = []
     for name in run.methods:
         episodes = run.episodes(name)
         rows = {k: episodes[k].to_numpy(zero_copy_only=False) for k in episodes.column_names}
         verdicts = run.trials(name, ["outcome"])["outcome"].to_numpy(zero_copy_only=False)
-        n, label = len(verdicts), plain(short[name])
         touched = rows["end"] == "contact"
         by_robot = touched & (rows["robot_touched"] == True)  # noqa: E712 - null where nothing touched
         won = rows["end"] == "success"
-        shares = [percent_text(rows["end"] == end) for end in SHOWN[1:]]
-        touches = [percent_text(by_robot), percent_text(touched & ~by_robot)]
-        rates = [rate_text(verdicts == "success"), rate_text(won)]
-        ends.append([label, str(n), *rates, *touches, *shares])
-        went.append([label, *_numbers(rows, won)])
+        hits = {"sr": verdicts == "success", "success": won, "by_robot": by_robot}
+        hits |= {"by_hand": touched & ~by_robot} | {end: rows["end"] == end for end in SHOWN[1:]}
+        record: dict[str, Any] = {"method": short[name], "n": len(verdicts)}
+        for key, own in hits.items():
+            record |= hits_fields(key, own)
+        records.append(record | _numbers(rows, won))
     digests: Any = run.header["digests"]
     loop = str(digests.get("closed_loop", "unknown"))
     own = ":" in loop.partition("; ")[0]  # module:function, as no built-in policy is called
     played = "closed loop (own policy)" if own else "closed loop"
-    head = ["Method", "n", "SR", played, "contact by robot", "by hand"]
-    head += [end.replace("_", " ") for end in SHOWN[1:]]
-    how = [
-        "Method", "time, s", "least, cm", "slack, cm", "near speed, cm/s", "PFL", "SSM, s", "robot idle", "human idle",
-        "both move", "delay",
-    ]  # fmt: skip
-    notes = (OWN_POLICY, *NOTES) if own else NOTES
-    parts = [
-        f"Closed loop: {plain(loop)}",
-        aligned(head, ends, 1),
-        aligned(how, went, 1),
-        notes_list(notes),
+    method, none = Column("method", "Method", left=True), "-"
+    ends = [
+        *(method, Column("n"), Column("sr", "SR", RATE, none=none)),
+        Column("success", played, RATE, none=none),
+        Column("by_robot", "contact by robot", PERCENT, none=none),
+        Column("by_hand", "by hand", PERCENT, none=none),
+        *(Column(end, end.replace("_", " "), PERCENT, none=none) for end in SHOWN[1:]),
     ]
-    return "\n\n".join(parts) + "\n"
+    notes = (OWN_POLICY, *NOTES) if own else NOTES
+    loop = f"Closed loop: {plain(loop)}"
+    return document([loop, Table(ends, records), Table([method, *HOW], records), notes_list(notes)])
 
 
-def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> list[str]:
+HOW = (
+    Column("time_s", "time, s", PERCENT, none="-"),
+    Column("least_m", "least, cm", PERCENT, scale=100, none="-"),
+    Column("slack_m", "slack, cm", PERCENT, scale=100, none="-"),
+    Column("near_speed_m_s", "near speed, cm/s", PERCENT, scale=100, none="-"),
+    Column("pfl_share", "PFL", "{value:.2f}", none="-"),
+    Column("ssm_s", "SSM, s", PERCENT, none="-"),
+    *(
+        Column(name, heading, "{value:.2f}", none="-")
+        for name, heading in {
+            "robot_idle": "robot idle", "human_idle": "human idle", "concurrent": "both move", "delay": "delay",
+        }.items()
+    ),
+)  # fmt: skip
+"""How episodes went."""
+
+
+def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> dict[str, float]:
+    """The values of `HOW`; none without an episode that began."""
     lived = rows["time_s"] > 0
     if not lived.any():
-        return ["-"] * 10
-    time = f"{np.median(rows['time_s'][won]):.1f}" if won.any() else "-"
-    cm = [
-        f"{100 * f(rows[k][lived]):.1f}"
-        for f, k in ((np.median, "least_m"), (np.mean, "slack_m"), (np.median, "near_speed_m_s"))
-    ]
-    shares = [
-        f"{np.mean(rows[k][lived]):.2f}"
-        for k in ("robot_idle", "human_idle", "concurrent", "delay")
-    ]
-    pfl, ssm = rows["pfl_share"][lived].max(), np.mean(rows["ssm_s"][lived])
-    return [time, *cm, f"{pfl:.2f}", f"{ssm:.1f}", *shares]
+        return {}
+    over = {
+        **{"least_m": np.median, "slack_m": np.mean, "near_speed_m_s": np.median},
+        **{"pfl_share": np.max, "ssm_s": np.mean},
+        **dict.fromkeys(("robot_idle", "human_idle", "concurrent", "delay"), np.mean),
+    }
+    found = {name: float(mean(rows[name][lived])) for name, mean in over.items()}
+    return found | ({"time_s": float(np.median(rows["time_s"][won]))} if won.any() else {})

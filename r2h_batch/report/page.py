@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from r2h_batch.base.table import NA
 from r2h_batch.report import figures
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
@@ -21,13 +22,13 @@ from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,
-    Table,
+    Report,
     best_cells,
     cell,
     invalid,
     table_of,
 )
-from r2h_batch.report.text import NA, short_names
+from r2h_batch.report.text import short_names
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import EVERY, UNITS
@@ -139,7 +140,7 @@ def _percent(rate: Rate | None, best: bool = False) -> Any:
     return cell | {"total": rate.total}
 
 
-def _overview(table: Table, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
+def _overview(table: Report, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
     """A line for each method: SR of each split with its interval, the rank on new objects, the
     failures and T_exec of the last row (Avg, or the only split)."""
     best = best_cells(table)
@@ -242,7 +243,7 @@ def _pooled(rows: Sequence[Row]) -> dict[str, Any]:
 
 
 def _first_pictures(
-    table: Table, gallery: Mapping[str, Sequence[Mapping[str, str]]], short: Mapping[str, str]
+    table: Report, gallery: Mapping[str, Sequence[Mapping[str, str]]], short: Mapping[str, str]
 ) -> list[dict[str, str]]:
     """A picture of each of the most frequent causes of all methods together, then a success; of the method that has most."""
     rows = [row for row in table.rows if row.split != "Avg"]
@@ -272,7 +273,7 @@ def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dic
     return lines
 
 
-def _table(table: Table) -> list[dict[str, Any]]:
+def _table(table: Report) -> list[dict[str, Any]]:
     """Every cell of Table I, rates with their intervals."""
     best = best_cells(table)
     lines = []

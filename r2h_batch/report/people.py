@@ -11,8 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from r2h_batch.report.statistics.aggregate import wilson_interval
-from r2h_batch.report.text import aligned, csv_text, json_text, legend, notes_list, short_names
+from r2h_batch.base.table import Column, Table, document, plain
+from r2h_batch.report.text import hits_fields, legend, short_names
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import Outcome
 
@@ -30,6 +30,8 @@ MEDIAN_M = 0.05
 SERVED = 0.5
 """An object is served if every method succeeds in at least this share of its trials with median adults [choice]."""
 SHOWN = 20
+RATE = "{value:.1f} ({low:.0f}-{high:.0f})"
+_GROUP = (Column("by", "By", left=True), Column("group", "Group", left=True))
 RECEPTION, RECEIVED = "reception", "received"
 """Folder of a run that holds METHOD.parquet, and its column."""
 COLUMNS = (
@@ -194,9 +196,9 @@ def people_lines(run: Run, fmt: str = "md") -> str:
         for k, method in enumerate(found.methods)
     ]
     if fmt == "csv":
-        return csv_text(records)
+        return Table((), records).csv()
     if fmt == "json":
-        return json_text({"format": 1, "served_objects": found.served_objects(), "rows": records})
+        return Table((), records).json(served_objects=found.served_objects())
     raise ValueError(f"no table of people in format {fmt!r}; allowed are md, csv, json")
 
 
@@ -207,38 +209,50 @@ def _md(found: Served) -> str:
     median = found.median_adults()
     if median.any():
         groups.append(("median adults", "", median))
-    lines = []
+    records = []
     for by, group, rows in groups:
         none = ~np.any(found.success[:, rows], axis=0)
-        rates = [_rate(found.success[k, rows]) for k in range(len(found.methods))]
+        rates = {m: found.success[k, rows] for k, m in enumerate(found.methods)}
         redrawn = int(found.columns["redrawn"][rows].astype(np.int64).sum())
-        lines.append(
-            [by, group, str(int(rows.sum())), *rates, _rate(np.asarray(none)), str(redrawn)]
-        )
-    head = ["By", "Group", "N", *names.values(), "No method", "Redrawn"]
+        record: dict[str, Any] = {
+            "by": by,
+            "group": group,
+            "n": int(rows.sum()),
+            "redrawn": redrawn,
+        }
+        for name, hits in (rates | {"no_method": none}).items():
+            record |= hits_fields(name, hits)
+        records.append(record)
+    columns = [
+        *(*_GROUP, Column("n", "N")),
+        *(Column(m, names[m], RATE) for m in found.methods),
+        *(Column("no_method", "No method", RATE), Column("redrawn", "Redrawn")),
+    ]
     notes = [
-        *legend(names),
+        *map(plain, legend(names)),
         "SR in % with its 95 % interval (Wilson). No method: trials in which no method succeeds.",
         "Redrawn: people for whom no posture fitted; the trial took the next one.",
     ]
-    parts = [aligned(head, lines, 2), notes_list(notes), *_later_tables(found, groups, names)]
-    return "\n\n".join([*parts, *_not_served(found, names)]) + "\n"
+    tables = [Table(columns, records, notes), *_later_tables(found, groups, names)]
+    return document([*tables, *_not_served(found)])
 
 
 def _later_tables(
     found: Served, groups: Sequence[tuple[str, str, Mask]], names: Mapping[str, str]
-) -> list[str]:
+) -> list[Table]:
     """A table of received, where that is stored."""
     if not found.later:
         return []
-    cells = [(what, method) for what, of in found.later.items() for method in of]
-    lines = []
-    for by, group, rows in groups:
-        shares = [_mean(found.later[what][method][rows]) for what, method in cells]
-        lines.append([by, group, *("-" if x is None else f"{100 * x:.1f}" for x in shares)])
-    head = ["By", "Group", *(f"{names[method]}: {what}" for what, method in cells)]
+    cells = {
+        f"{names[m]}: {what}": own for what, of in found.later.items() for m, own in of.items()
+    }
+    records = [
+        {"by": by, "group": group} | {head: _mean(own[rows]) for head, own in cells.items()}
+        for by, group, rows in groups
+    ]
+    columns = [*_GROUP, *(Column(head, form="{value:.1f}", scale=100, none="-") for head in cells)]
     note = "Received (results reception), % of the group's trials for which it is stored: those with a pose. Not in SR."
-    return [aligned(head, lines, 2), notes_list([note])]
+    return [Table(columns, records, [note])]
 
 
 def _mean(values: NDArray[np.float64]) -> float | None:
@@ -247,7 +261,7 @@ def _mean(values: NDArray[np.float64]) -> float | None:
     return float(there.mean()) if len(there) else None
 
 
-def _not_served(found: Served, names: Mapping[str, str]) -> Sequence[str]:
+def _not_served(found: Served) -> Sequence[Table | str]:
     """The people whom no method hands an object that every method hands to median adults."""
     objects = found.served_objects()
     if not objects:
@@ -257,24 +271,18 @@ def _not_served(found: Served, names: Mapping[str, str]) -> Sequence[str]:
     failed = (
         np.isin(found.columns["object"], objects) & ~found.success.any(0) & ~found.median_adults()
     )
-    head = ["Trial", "Object", "Sex", "Age", "Stature, m", "Hand, cm", "Seat"]
-    lines = [
-        [
-            str(found.columns["trial_id"][i]), str(found.columns["object"][i]), str(found.columns["sex"][i]),
-            f"{float(found.columns['age_years'][i]):.0f}", f"{float(found.columns['stature_m'][i]):.2f}",
-            f"{100 * float(found.columns['hand_length_m'][i]):.1f}",
-            "seated" if found.columns["seated"][i] else "standing",
-        ]
-        for i in np.flatnonzero(failed)[:SHOWN]
-    ]  # fmt: skip
+    keys = ("trial_id", "object", "sex", "age_years", "stature_m", "hand_length_m", "seated")
+    records = [{key: found.columns[key][i] for key in keys} for i in np.flatnonzero(failed)[:SHOWN]]
+    columns = [
+        *(Column("trial_id", "Trial", left=True), Column("object", "Object", left=True)),
+        *(Column("sex", "Sex", left=True), Column("age_years", "Age", "{value:.0f}")),
+        Column("stature_m", "Stature, m", "{value:.2f}"),
+        Column("hand_length_m", "Hand, cm", "{value:.1f}", scale=100),
+        Column("seated", "Seat", lambda r: "seated" if r["seated"] else "standing"),
+    ]
     share = 100 * failed.sum() / max(1, int(np.isin(found.columns["object"], objects).sum()))
     title = (
         f"Not served: {failed.sum()} people ({share:.1f} % of the trials with these objects) get from no method an object"
         f" that every method hands to median adults ({', '.join(objects)})."
     )
-    return [title, aligned(head, lines, 3)] if lines else [title]
-
-
-def _rate(values: NDArray[np.bool_]) -> str:
-    low, high = wilson_interval(values.sum(), len(values))
-    return f"{100 * values.mean():.1f} ({100 * float(low):.0f}-{100 * float(high):.0f})"
+    return [title, Table(columns, records)]

@@ -2,13 +2,26 @@
 object by object."""
 
 import textwrap
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from functools import partial
 from math import floor, log10
 from pathlib import Path
 from typing import Any
 
+from r2h_batch.base.table import (
+    INTERVAL,
+    NA,
+    NOTE,
+    PERCENT,
+    Column,
+    Record,
+    Table,
+    document,
+    notes_list,
+    of_lines,
+    plain,
+    tex,
+)
 from r2h_batch.config import ExecutionError, ObjectErrors
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
@@ -31,23 +44,7 @@ from r2h_batch.report.statistics.shares import (
     Share,
 )
 from r2h_batch.report.statistics.tally import Tally, tally
-from r2h_batch.report.text import (
-    NA,
-    NOTE,
-    aligned,
-    csv_text,
-    json_text,
-    legend,
-    notes_list,
-    plain,
-    short_digests,
-    short_names,
-    tex,
-    tex_cell,
-    tex_comments,
-    tex_number,
-    tex_table,
-)
+from r2h_batch.report.text import legend, rate_fields, short_digests, short_names
 from r2h_batch.report.trained import sentences
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
@@ -105,7 +102,7 @@ BEST_NOTE = (
 
 
 @dataclass(frozen=True)
-class Table:
+class Report:
     """Content of a report.
 
     Attributes:
@@ -225,7 +222,7 @@ def table_of(
     alike: bool = True,
     scans: Run | None = None,
     few: int = FEW,
-) -> Table:
+) -> Report:
     """The table of every complete method of a run folder.
 
     Args:
@@ -262,7 +259,7 @@ def table_of(
     misses |= dict.fromkeys(planned)
     beside = {} if scans is None else _beside(run, scans)
     bounds = tuple(e.name for e in run.entries if e.source.get("function") in BOUNDS)
-    return Table(
+    return Report(
         rows,
         origin,
         alike,
@@ -377,11 +374,11 @@ def _instances(header: Mapping[str, Any]) -> dict[str, str]:
     return {"instances": f"{number}, digest {header['digests'].get('objects', 'unknown')}"}
 
 
-def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
+def render(report: Report, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
     """The table as text that ends in a newline.
 
     Args:
-        table: what `table_of` gives.
+        report: what `table_of` gives.
         fmt: one of `FORMATS`.
         columns: LaTeX: all of Table I over both columns of a page (2), or SR alone in one (1).
         intervals: LaTeX: 95 % intervals below the rates. The other formats always have them.
@@ -390,27 +387,30 @@ def render(table: Table, fmt: str, *, columns: int = 2, intervals: bool = False)
         ValueError: if the format or number of columns does not exist.
     """
     if fmt == "md":
-        return _md(table)
+        return _md(report)
     if fmt == "latex":
-        return _latex(table, columns, intervals)
+        return _latex(report, columns, intervals)
+    records = [_with_more(report, row) for row in report.rows]
     if fmt == "csv":
-        origin = {k.replace(" ", "_"): v for k, v in table.origin.items()}
-        return csv_text([_with_more(table, row) | origin for row in table.rows])
+        origin = {k.replace(" ", "_"): v for k, v in report.origin.items()}
+        return Table((), [found | origin for found in records]).csv()
     if fmt == "json":
-        rows = [_with_more(table, row) for row in table.rows]
-        content = {"format": 1, "origin": dict(table.origin), "rows": rows, "notes": table.notes}
-        more = {"turns": about(table.turns)} if table.turns else {}
-        return json_text(content | more)
+        turns = {"turns": about(report.turns)} if report.turns else {}
+        return Table((), records, report.notes).json(origin=dict(report.origin), **turns)
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
 def cell(row: Row, column: str) -> str:
-    """One cell of Table I: rates with one decimal, seconds with two, or two digits below 0.1 s:
-    amortised planning takes less than a millisecond."""
-    if column not in TIMES:
-        rate = row.rates.get(column)
-        return NA if rate is None else f"{rate.percent:.1f}"
-    if (value := row.times[column].value) is None:
+    """One cell of Table I."""
+    if column in TIMES:
+        return seconds(row.times[column].value)
+    rate = row.rates.get(column)
+    return NA if rate is None else f"{rate.percent:.1f}"
+
+
+def seconds(value: float | None) -> str:
+    """Seconds with two decimals, or two digits below 0.1 s: amortised planning takes less than a millisecond."""
+    if value is None:
         return NA
     decimals = 2 if value >= 0.1 or value == 0 else 1 - floor(log10(value))
     return f"{value:.{decimals}f}"
@@ -426,7 +426,7 @@ def interval(rate: Rate | None) -> str:
     return NA if rate is None else f"{rate.low:.1f}-{rate.high:.1f}"
 
 
-def best_cells(table: Table) -> set[tuple[str, str, str]]:
+def best_cells(report: Report) -> set[tuple[str, str, str]]:
     """Which cells are bold.
 
     Only rates can be, and only where all methods answered the same trials and were judged alike: a preset is no
@@ -439,13 +439,13 @@ def best_cells(table: Table) -> set[tuple[str, str, str]]:
         all are equal.
     """
     best: set[tuple[str, str, str]] = set()
-    if not table.alike:
+    if not report.alike:
         return best
-    for split in dict.fromkeys(row.split for row in table.rows):
-        rows = [r for r in table.rows if r.split == split]
+    for split in dict.fromkeys(row.split for row in report.rows):
+        rows = [r for r in report.rows if r.split == split]
         same = len({r.n for r in rows}) == 1
-        rows = [r for r in rows if r.method not in table.bounds]
-        for column in (c for c in table.headings if c not in TIMES):
+        rows = [r for r in rows if r.method not in report.bounds]
+        for column in (c for c in report.headings if c not in TIMES):
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
             if len(set(values.values())) > 1 and same:
@@ -473,23 +473,23 @@ def sr_of_scans(row: Row) -> Rate | None:
     return row.sr_new_categories or row.rates["sr"]
 
 
-def _scans(table: Table, row: Row) -> Row | None:
-    return table.scans.get((row.split, row.method))
+def _scans(report: Report, row: Row) -> Row | None:
+    return report.scans.get((row.split, row.method))
 
 
-def _with_more(table: Table, row: Row) -> dict[str, Any]:
+def _with_more(report: Report, row: Row) -> dict[str, Any]:
     """A record, with SR on the reader's own objects and the turn test where the table has them."""
     found = record(row)
     ends: tuple[float | None, ...]
     for name in ASKED_FOR:
-        if name in table.shares and name not in row.shares:  # a line of averages
+        if name in report.shares and name not in row.shares:  # a line of averages
             found |= {name: None, f"{name}_low": None, f"{name}_high": None}
-    if table.scans:
-        rate = sr_of_scans(own) if (own := _scans(table, row)) else None
+    if report.scans:
+        rate = sr_of_scans(own) if (own := _scans(report, row)) else None
         ends = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
         found |= dict(zip(("sr_scans", "sr_scans_low", "sr_scans_high"), ends, strict=True))
-    if table.turns:
-        test = table.turn_of(row)
+    if report.turns:
+        test = report.turn_of(row)
         most = None if test is None else test.most
         ends = (most.points, most.low, most.high) if most else (None, None, None)
         found |= dict(zip(("turn", "turn_low", "turn_high"), ends, strict=True))
@@ -497,63 +497,75 @@ def _with_more(table: Table, row: Row) -> dict[str, Any]:
     return found
 
 
-def _share(row: Row, name: str) -> list[str]:
-    rate = row.shares.get(name)
-    return [f"{rate.percent:.1f}", interval(rate), str(rate.total)] if rate else []
+def _records(report: Report) -> list[dict[str, Any]]:
+    """Records for people: also of how many rows each share is, and what could not be judged."""
+    return [
+        _with_more(report, row)
+        | {f"{name}_of": rate.total for name, rate in row.shares.items()}
+        | {"invalid": invalid(row)}
+        for row in report.rows
+    ]
 
 
-def _new_ones(row: Row, families: bool) -> list[str]:
-    new = [interval(row.sr_new_objects), *([interval(row.sr_new_categories)] if families else [])]
-    return [cell(row, "sr"), *new, interval(row.sr_few)]
+SPLIT = Column("split", "Split", left=True)
 
 
-def _counts(row: Row) -> list[str]:
-    n_plan, n_exec = row.times["t_plan_s"].count, row.times["t_exec_s"].count
-    cells = [row.n, n_plan, n_exec, cell(row, "t_method_s"), invalid(row), row.counts["missing"]]
-    return [*map(str, cells)]
+def method_column(short: Mapping[str, str]) -> Column:
+    """The methods under short names, marked where a turn moves SR by too much."""
+
+    def name(record: Record) -> str:
+        return short[record["method"]] + (f" {MARK}" if record.get("turn_marked") else "")
+
+    return Column("method", "Method", name, left=True)
 
 
-def brief(table: Table) -> str:
+def number_column(report: Report, name: str) -> Column:
+    """A rate or time of Table I, headed and grouped as the paper has it."""
+    heading = report.headings[name]
+    if name in TIMES:
+        return Column(
+            name, heading, lambda r: seconds(r[name]), group="Time (s)", tex=_behind(heading)
+        )
+    if name == "sr":
+        return Column(name, heading, PERCENT, group="SR", tex=r"(\%)", ends=True)
+    group = r"First failure (\%)"
+    return Column(name, heading, PERCENT, group=group, tex=_behind(heading), ends=True)
+
+
+def _behind(heading: str) -> str:
+    return tex(heading.partition("_")[2])
+
+
+def share_columns(report: Report) -> list[Column]:
+    """The shares of rows that the table has."""
+    return [
+        Column(name, share.heading, PERCENT, group=r"Share (\%)", title=share.caption, ends=True)
+        for name, share in report.shares.items()
+    ]
+
+
+def brief(report: Report) -> str:
     """The short table that a sweep prints: success and first failures, where the rows come from, what must be known about them.
     `render` has the other intervals, counts, times and shares with their notes."""
-    rates = [c for c in table.headings if c not in TIMES and c != "sr"]
-    short = short_names([row.method for row in table.rows])
-    head = [
-        "Split",
-        "Method",
-        "SR",
-        "95 %",
-        f"{table.few} new",
-        *(table.headings[c] for c in rates),
+    rates = [c for c in report.headings if c not in TIMES and c != "sr"]
+    short = short_names([row.method for row in report.rows])
+    columns = [
+        *(SPLIT, method_column(short), number_column(report, "sr")),
+        *(Column("sr", "95 %", INTERVAL), Column("sr_few", f"{report.few} new", INTERVAL)),
+        *(number_column(report, c) for c in rates),
     ]
-    lines = [
-        [
-            *(row.split, plain(short[row.method]) + table.mark(row), cell(row, "sr")),
-            *(interval(row.rates["sr"]), interval(row.sr_few)),
-            *(cell(row, c) for c in rates),
-        ]
-        for row in table.rows
-    ]
-    origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in table.origin.items())
+    origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in report.origin.items())
     notes = [
-        _first_failure(table.failures),
-        f"95 %: the interval of SR for more trials with these objects. {table.few} new: where the mean of {table.few}"
-        f" {table.new} lies that you bring, with 95 %.",
+        _first_failure(report.failures),
+        f"95 %: the interval of SR for more trials with these objects. {report.few} new: where the mean of {report.few}"
+        f" {report.new} lies that you bring, with 95 %.",
         *map(plain, legend(short)),
-        *table.misses,
-        *map(plain, table.trained),
-        *(test.sentence for test in table.turns if test.marked),
+        *report.misses,
+        *map(plain, report.trained),
+        *(test.sentence for test in report.turns if test.marked),
     ]
-    return (
-        "\n\n".join(
-            [
-                aligned(head, lines, 2),
-                textwrap.fill(origin, NOTE, break_long_words=False, break_on_hyphens=False),
-                notes_list(notes),
-            ]
-        )
-        + "\n"
-    )
+    words = textwrap.fill(origin, NOTE, break_long_words=False, break_on_hyphens=False)
+    return document([Table(columns, _records(report)), words, notes_list(notes)])
 
 
 def _first_failure(failures: Mapping[str, CriterionEntry]) -> str:
@@ -562,88 +574,61 @@ def _first_failure(failures: Mapping[str, CriterionEntry]) -> str:
     return FOOTNOTES[0].format(order)
 
 
-def _md(table: Table) -> str:
-    columns = table.headings
-    rates = [c for c in columns if c not in TIMES]
-    short = short_names([row.method for row in table.rows])
-    more = ["SR scans"] if table.scans else []
-    sections: list[tuple[str, Sequence[str], Callable[[Row], list[str]]]] = [
-        (
-            "Rates in percent, times in seconds.",
-            [*columns.values(), *more],
-            lambda row: [
-                *(cell(row, c) for c in columns),
-                *(_sr_cells(table, row) if more else ()),
-            ],
-        ),
-        (
-            "95 % intervals of the rates (Wilson; Avg: MOVER).",
-            [columns[c] for c in rates],
-            lambda row: [interval(row.rates.get(c)) for c in rates],
-        ),
-        (
-            "95 % intervals of SR for new things.",
-            [
-                *("SR", "SR new obj.", *(["SR new cat."] if table.families else [])),
-                f"SR of {table.few} new",
-            ],
-            lambda row: _new_ones(row, table.families),
-        ),
-        (
-            "Counts, and T_method, the method's own time per trial.",
-            ["N", "n T_plan", "n T_exec", "T_method", "invalid", "missing"],
-            _counts,
-        ),
-        *(
-            (share.caption, [share.heading, "95 %", "of"], partial(_share, name=name))
-            for name, share in table.shares.items()
-        ),
-    ]
-    parts = ["  \n".join(f"{key}: {short_digests(value)}" for key, value in table.origin.items())]
-    for caption, headings, cells_of in sections:
-        cells = [(row, cells_of(row)) for row in table.rows]
-        lines = [
-            [row.split, plain(short[row.method]) + table.mark(row), *line]
-            for row, line in cells
-            if line
-        ]
-        if lines:
-            parts += [caption, aligned(["Split", "Method", *headings], lines, 2)]
+def _md(report: Report) -> str:
+    headings, few = report.headings, report.few
+    rates = [c for c in headings if c not in TIMES]
+    short = short_names([row.method for row in report.rows])
+    families = [Column("sr_new_categories", "SR new cat.", INTERVAL)] if report.families else []
+    sections = {
+        "Rates in percent, times in seconds.": [
+            *(number_column(report, c) for c in headings),
+            *([Column("sr_scans", "SR scans", PERCENT)] if report.scans else []),
+        ],
+        "95 % intervals of the rates (Wilson; Avg: MOVER).": [
+            Column(c, headings[c], INTERVAL) for c in rates
+        ],
+        "95 % intervals of SR for new things.": [
+            *(Column("sr", "SR", PERCENT), Column("sr_new_objects", "SR new obj.", INTERVAL)),
+            *(*families, Column("sr_few", f"SR of {few} new", INTERVAL)),
+        ],
+        "Counts, and T_method, the method's own time per trial.": [
+            *(Column("n", "N"), Column("t_plan_s_n", "n T_plan"), Column("t_exec_s_n", "n T_exec")),
+            Column("t_method_s", "T_method", lambda r: seconds(r["t_method_s"])),
+            *(Column("invalid"), Column("n_missing", "missing")),
+        ],
+    }
+    first, records = [SPLIT, method_column(short)], _records(report)
+    tables = [Table([*first, *own], records, title=title) for title, own in sections.items()]
+    for name, share in report.shares.items():
+        own = [Column(name, share.heading, PERCENT), Column(name, "95 %", INTERVAL)]
+        known = [r for r in records if r.get(name) is not None]
+        tables.append(Table([*first, *own, Column(f"{name}_of", "of")], known, title=share.caption))
+    origin = "  \n".join(f"{k}: {short_digests(value)}" for k, value in report.origin.items())
     notes = (
-        plain(n) if n in table.trained else n for n in table.notes
+        plain(n) if n in report.trained else n for n in report.notes
     )  # a method's own words are a stranger's
-    parts.append(notes_list([*map(plain, legend(short)), *notes]))
-    return "\n\n".join(parts) + "\n"
-
-
-def _sr_cells(table: Table, row: Row) -> list[str]:
-    own = _scans(table, row)
-    return [cell(own, "sr") if own else NA]
+    return document([origin, *tables, notes_list([*map(plain, legend(short)), *notes])])
 
 
 def record(row: Row) -> dict[str, Any]:
     """One flat row: every number of the table under its own name, None where nothing is defined."""
 
-    def with_ends(name: str, rate: Rate | None) -> dict[str, float | None]:
-        percent, low, high = (rate.percent, rate.low, rate.high) if rate else (None, None, None)
-        return {name: percent, f"{name}_low": low, f"{name}_high": high}
-
     fields: dict[str, Any] = {"split": row.split, "method": row.method}
     fields |= {"n": row.n, "n_objects": row.n_objects, "n_categories": row.n_categories}
     for name in row.rates:
-        fields |= with_ends(name, row.rates[name])
+        fields |= rate_fields(name, row.rates[name])
         if name in PARTIAL:
             own = row.rates[name]
             fields[f"{name}_of"] = own.total if own else None
     for what, clustered in (("objects", row.sr_new_objects), ("categories", row.sr_new_categories)):
-        fields |= with_ends(f"sr_new_{what}", clustered)
+        fields |= rate_fields(f"sr_new_{what}", clustered)
         del fields[f"sr_new_{what}"]  # it is "sr"
-    few = with_ends("sr_few", row.sr_few)
+    few = rate_fields("sr_few", row.sr_few)
     del few["sr_few"]
     fields |= {"few": row.few} | few
     for name in SHARES:
         if name not in ASKED_FOR or name in row.shares:
-            fields |= with_ends(name, row.shares.get(name))
+            fields |= rate_fields(name, row.shares.get(name))
     for name in TIMES:
         fields |= {name: row.times[name].value, f"{name}_n": row.times[name].count}
     others = {entry.name for rate, entry in ASKED_FAILURES.items() if rate not in row.rates}
@@ -651,106 +636,83 @@ def record(row: Row) -> dict[str, Any]:
     return fields | {f"n_{name}": n for name, n in row.counts.items() if name not in others}
 
 
-def _latex(table: Table, columns: int, intervals: bool) -> str:
+def _latex(report: Report, columns: int, intervals: bool) -> str:
     if columns not in (1, 2):
         raise ValueError(f"--columns is {columns}; a page has 1 or 2")
-    short = short_names([row.method for row in table.rows])
+    short = short_names([row.method for row in report.rows])
     counts = [
         f"{row.split} {short[row.method]}: N {row.n}, T_plan over {row.times['t_plan_s'].count}, T_exec over"
         f" {row.times['t_exec_s'].count}, invalid {invalid(row)}, missing {row.counts['missing']}, SR of new objects"
         f" {interval(row.sr_new_objects)}"
-        f"{f', of new categories {interval(row.sr_new_categories)}' if table.families else ''}"
+        f"{f', of new categories {interval(row.sr_new_categories)}' if report.families else ''}"
         f", of the mean of {row.few} new ones {interval(row.sr_few)}"
-        for row in table.rows
+        for row in report.rows
     ]
     of = [
         f"{share.heading}: {share.caption} Of: "
         + "; ".join(
-            f"{r.split} {short[r.method]} {r.shares[k].total}" for r in table.rows if k in r.shares
+            f"{r.split} {short[r.method]} {r.shares[k].total}" for r in report.rows if k in r.shares
         )
-        for k, share in table.shares.items()
+        for k, share in report.shares.items()
     ]
-    origin = "; ".join(f"{key}: {value}" for key, value in table.origin.items())
-    bold = [BEST_NOTE] if best_cells(table) else []
-    comments = tex_comments(
-        {}, [origin, *legend(short), "; ".join(counts), *of, *bold, *table.notes]
-    )
-    write = _wide if columns == 2 else _narrow
-    return "\n".join([*comments, *write(table, short, intervals)]) + "\n"
+    origin = "; ".join(f"{key}: {value}" for key, value in report.origin.items())
+    bold = [BEST_NOTE] if best_cells(report) else []
+    notes = [origin, *legend(short), "; ".join(counts), *of, *bold, *report.notes]
+    found = (_wide if columns == 2 else _narrow)(report, short)
+    return replace(found, notes=notes).latex(intervals=intervals) + "\n"
 
 
-def _ends(rate: Rate | None) -> str:
-    return rf"{{\scriptsize [{rate.low:.1f}, {rate.high:.1f}]}}" if rate else ""
+def _wide(report: Report, short: Mapping[str, str]) -> Table:
+    """All of Table I, split by split."""
+    best = best_cells(report)
+    sizes: dict[str, list[int]] = {}
+    for row in report.rows:
+        sizes.setdefault(row.split, []).append(row.n)
+    differ = {split for split, own in sizes.items() if len(set(own)) > 1}
+    names = method_column(short)
 
+    def name(record: Record) -> str:
+        return names.say(record) + (f" ({record['n']})" if record["split"] in differ else "")
 
-def _wide(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
-    best, headings = best_cells(table), table.headings
-    groups: dict[str, list[str]] = {}
-    for row in table.rows:
-        n = {r.n for r in table.rows if r.split == row.split}
-        size = f"$N={row.n}$" if len(n) == 1 else "$N$ in brackets"
-        heading = rf"\multicolumn{{{1 + len(headings) + len(table.shares)}}}{{@{{}}l}}{{{row.split}, {size}}} \\"
-        lines = groups.setdefault(row.split, [heading])
-        values = [tex_cell(cell(row, c), bold=(row.split, row.method, c) in best) for c in headings]
-        name = tex(short[row.method] + table.mark(row)) + (f" ({row.n})" if len(n) > 1 else "")
-        values += [
-            tex_cell(f"{s.percent:.1f}" if (s := row.shares.get(k)) else NA) for k in table.shares
-        ]
-        lines.append(" & ".join([name, *values]) + r" \\")
-        if intervals:
-            ends = (
-                *(_ends(row.rates.get(c)) for c in headings),
-                *(_ends(row.shares.get(k)) for k in table.shares),
-            )
-            lines.append(" & ".join(["", *ends]) + r" \\[2pt]")
-    decimals = max([len(cell(r, "t_plan_s").partition(".")[2]) for r in table.rows], default=2)
-    sizes = [
-        (3, 1) if c not in TIMES else (2, decimals if c == "t_plan_s" else 2) for c in headings
+    columns = [
+        replace(names, form=name),
+        *(number_column(report, c) for c in report.headings),
+        *share_columns(report),
     ]
-    sizes += [(3, 1)] * len(table.shares)
-    spec = ["l", *(tex_number(*size) for size in sizes)]
-    times, failures = (sum(c in of for c in headings) for of in (TIMES, table.failures))
-    first_failure = 3 + times  # the method and SR stand before the times
-    first_share, shares = first_failure + failures, len(table.shares)
-    over = rf" & \multicolumn{{{shares}}}{{c}}{{Share (\%)}}" if shares else ""
-    under = rf"\cmidrule(l){{{first_share}-{first_share + shares - 1}}}" if shares else ""
-    top = [
-        rf" & {{SR}} & \multicolumn{{{times}}}{{c}}{{Time (s)}}"
-        rf" & \multicolumn{{{failures}}}{{c}}{{First failure (\%)}}{over} \\",
-        rf"\cmidrule(lr){{3-{first_failure - 1}}}"
-        rf"\cmidrule(l{'r' if shares else ''}){{{first_failure}-{first_share - 1}}}{under}",
+    bold = {
+        (k, c)
+        for k, row in enumerate(report.rows)
+        for c in report.headings
+        if (row.split, row.method, c) in best
+    }
+    groups = [
+        (f"{split}, {'$N$ in brackets' if split in differ else f'$N={own[0]}$'}", len(own))
+        for split, own in sizes.items()
     ]
-    names = {c: h.partition("_")[2] for c, h in headings.items()} | {"sr": r"(\%)"}
-    head = ["Method", *(f"{{{n}}}" for n in names.values())]
-    head += [f"{{{tex(share.heading)}}}" for share in table.shares.values()]
-    return tex_table(spec, head, groups.values(), top)
+    return Table(columns, _records(report), bold=frozenset(bold), groups=groups)
 
 
-def _narrow(table: Table, short: Mapping[str, str], intervals: bool) -> list[str]:
-    best = best_cells(table)
-    splits = list(dict.fromkeys(row.split for row in table.rows))
-    rows = {(row.method, row.split): row for row in table.rows}
-    lines = []
-    for method, name in short.items():
-        own = [rows.get((method, s)) for s in splits]
-        values = [
-            tex_cell(cell(r, "sr") if r else NA, bold=(s, method, "sr") in best)
-            for s, r in zip(splits, own)
-        ]
-        lines.append(" & ".join([tex(name), *values]) + r" \\")
-        if intervals:
-            lines.append(
-                " & ".join(["", *(_ends(r.rates["sr"] if r else None) for r in own)]) + r" \\[2pt]"
-            )
-    sizes = {s: sorted({r.n for r in table.rows if r.split == s}) for s in splits}
-    n = [f"{{{k[0]}}}" if len(k) == 1 else f"{{{k[0]}--{k[-1]}}}" for k in sizes.values()]
-    spec = ["l", *[tex_number(3, 1)] * len(splits)]
-    top = [
-        rf" & \multicolumn{{{len(splits)}}}{{c}}{{Success (\%)}} \\",
-        rf"\cmidrule(l){{2-{len(splits) + 1}}}",
-        " & ".join(["", *(f"{{{s}}}" for s in splits)]) + r" \\",
-    ]
-    return tex_table(spec, ["Method, $N$", *n], [lines], top)
+def _narrow(report: Report, short: Mapping[str, str]) -> Table:
+    """SR of each method, a column for each split."""
+    best, columns = best_cells(report), [Column("method", left=True, tex="\nMethod, $N$")]
+    records: dict[str, dict[str, Any]] = {
+        method: {"method": name} for method, name in short.items()
+    }
+    for split in dict.fromkeys(row.split for row in report.rows):
+        own = [row for row in report.rows if row.split == split]
+        n = sorted({row.n for row in own})
+        size = f"{n[0]}" if len(n) == 1 else f"{n[0]}--{n[-1]}"
+        group = r"Success (\%)"
+        columns.append(Column(split, form=PERCENT, group=group, tex=f"{split}\n{size}", ends=True))
+        for row in own:
+            records[row.method] |= rate_fields(split, row.rates["sr"])
+    bold = {
+        (k, split)
+        for k, method in enumerate(records)
+        for split in records[method]
+        if (split, method, "sr") in best
+    }
+    return Table(columns, list(records.values()), bold=frozenset(bold))
 
 
 def object_lines(run: Run, fmt: str = "md") -> str:
@@ -762,30 +724,24 @@ def object_lines(run: Run, fmt: str = "md") -> str:
     """
     counted = [tally(run, method) for method in run.methods]
     lines = [line for t in counted for line in breakdown.by_object(t)]
-    if fmt == "md":
-        return _objects_md(counted, lines)
     records = [{"object": name} | record(row) for name, row in lines]
+    if fmt == "md":
+        return _objects_md(counted, Report(tuple(row for _, row in lines), {}), records)
     if fmt == "csv":
-        return csv_text(records)
+        return Table((), records).csv()
     if fmt == "json":
-        origin = dict(table_of(run, counted=counted).origin)
-        return json_text({"format": 1, "origin": origin, "rows": records})
+        return Table((), records).json(origin=dict(table_of(run, counted=counted).origin))
     raise ValueError(f"no table of objects in format {fmt!r}; allowed are md, csv, json")
 
 
-def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> str:
-    names = short_names([t.method for t in counted])
-    short = {method: plain(name) for method, name in names.items()}
-    headings = Table(tuple(row for _, row in lines), {}).headings
-    shown = [c for c in headings if c not in TIMES]
-    rows = []
-    for name, row in lines:
-        cells = [*(cell(row, c) for c in shown), interval(row.rates["sr"])]
-        rows.append([row.split, name, short[row.method], str(row.n), *cells])
-    head = ["Split", "Object", "Method", "N", *(headings[c] for c in shown), "SR 95 %"]
-    parts = [aligned(head, rows, 3)]
-    if shortened := legend(names):
-        parts.append(notes_list(map(plain, shortened)))
+def _objects_md(counted: Sequence[Tally], report: Report, records: Sequence[Record]) -> str:
+    short = short_names([t.method for t in counted])
+    columns = [
+        *(SPLIT, Column("object", "Object", left=True), method_column(short), Column("n", "N")),
+        *(number_column(report, c) for c in report.headings if c not in TIMES),
+        Column("sr", "SR 95 %", INTERVAL),
+    ]
+    parts: list[Table | str] = [Table(columns, records, [*map(plain, legend(short))])]
     for t in counted:
         for split in t.splits:
             both = breakdown.co_failures(t, split)
@@ -793,8 +749,7 @@ def _objects_md(counted: Sequence[Tally], lines: Sequence[tuple[str, Row]]) -> s
                 [c, *(f"{f}/{e}" if e else NA for f, e in zip(failed, evaluated))]
                 for c, failed, evaluated in zip(t.judged, both.failed, both.evaluated)
             ]
-            parts += [
-                f"{short[t.method]}, {split}: trials that fail both / in which both were evaluated.",
-                aligned(["", *t.judged], pairs, 1),
-            ]
-    return "\n\n".join(parts) + "\n"
+            words = "trials that fail both / in which both were evaluated."
+            title = f"{plain(short[t.method])}, {split}: {words}"
+            parts.append(of_lines(["", *t.judged], pairs, title=title))
+    return document(parts)

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.base.registry import TURNS
+from r2h_batch.base.table import NA
 from r2h_batch.report.statistics.cochran import stratified_cochran
 from r2h_batch.report.statistics.paired import ALPHA, Pair, Paired, compare, holm
-from r2h_batch.report.text import NA
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.verdicts import SPLITS, Outcome

@@ -18,7 +18,8 @@ from r2h_batch.base import se3
 from r2h_batch.base.launch import init_warp, over_trials
 from r2h_batch.base.launch.arguments import struct_of
 from r2h_batch.base.launch.instances import Compiled, of_joints
-from r2h_batch.base.summary import counted, html_table
+from r2h_batch.base.summary import counted
+from r2h_batch.base.table import of_lines
 from r2h_batch.base.validate import describe_value, instance_of, integer, optional, sequence_of
 from r2h_batch.base.validate_tensors import check_indices, check_tensor, checked_device
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -126,7 +127,8 @@ class Scene:
 
     def _repr_html_(self) -> str:
         rows = [(str(i), o.name, o.split, o.instruction) for i, o in enumerate(self.objects)]
-        return html_table(repr(self), ("index", "object", "split", "instruction"), rows)
+        head = ("index", "object", "split", "instruction")
+        return of_lines(head, rows, title=repr(self)).html()
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Rebuilt from benchmark and configuration: tables on a device do not travel."""

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from r2h_batch.report.text import plain
+from r2h_batch.base.table import Column, Table, document, notes_list, plain
 from r2h_batch.runs.explain import LEAST, PAIRS, headline
 from r2h_batch.verdicts import CRITERIA, EVERY, UNITS, Unit
 from r2h_batch.view.drawing import MARKS, Drawing
@@ -78,18 +78,12 @@ def title(drawing: Drawing) -> str:
 def as_markdown(drawing: Drawing) -> str:
     """The panel of the viewer."""
     verdict = f"{plain(drawing.stored.method)}: **{plain(verdict_of(drawing.stored))}**"
-    lines = [f"**{plain(title(drawing))}**", "", verdict, "", "| | | margin |", "|---|---|---|"]
-    lines += [f"| {name} | {verdict} | {margin} |" for name, verdict, margin in _criteria(drawing)]
-    return "\n".join([*lines, "", *(f"- {plain(line)}" for line in _facts(drawing))])
+    facts = notes_list(map(plain, _facts(drawing)))
+    return document([f"**{plain(title(drawing))}**", verdict, _criteria(drawing), facts])
 
 
 def as_html(drawing: Drawing) -> str:
     """The panel of a page, as a fragment of HTML."""
-    rows = "".join(
-        f'<tr class="{verdict.split()[0]}" title="{escape(MEANING.get(name, ""))}">'
-        f"<th>{escape(name)}</th><td>{verdict}</td><td>{escape(margin)}</td></tr>"
-        for name, verdict, margin in _criteria(drawing)
-    )
     facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
     verdict = f"{escape(drawing.stored.method)}: <b>{escape(verdict_of(drawing.stored))}</b>"
     heading = escape(title(drawing))
@@ -98,18 +92,20 @@ def as_html(drawing: Drawing) -> str:
         f'<span><b style="color: {color}">\u25a0</b> {escape(words)}</span> '
         for color, words in legend([drawing], groups)
     )
-    verdict, margins = f"<p>{verdict}</p>", f"<table>{rows}</table><ul>{facts}</ul>"
-    return f'<h1>{heading}</h1>{verdict}{margins}<p class="legend">{marks}</p>'
+    margins = _criteria(drawing).html(rows="verdict") + f"<ul>{facts}</ul>"
+    return f'<h1>{heading}</h1><p>{verdict}</p>{margins}<p class="legend">{marks}</p>'
 
 
-def _criteria(drawing: Drawing) -> list[tuple[str, str, str]]:
-    """(name, verdict, margin) of each criterion."""
+def _criteria(drawing: Drawing) -> Table:
+    """Verdict and margin of each criterion."""
     row, found = drawing.stored.row, []
     for name in (e.name for e in EVERY if e.name in CRITERIA or f"passed_{e.name}" in row):
         passed = row.get(f"passed_{name}")
         verdict = "not evaluated" if passed is None else "passes" if passed else "fails"
-        found.append((name, verdict, _margin(row, name)))
-    return found
+        record = {"criterion": name, "verdict": verdict, "margin": _margin(row, name)}
+        found.append(record | {"meaning": MEANING.get(name)})
+    names = Column("criterion", left=True, about="meaning")
+    return Table((names, Column("verdict"), Column("margin")), found)
 
 
 def _margin(row: dict[str, Any], name: str) -> str:

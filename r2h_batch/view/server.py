@@ -11,7 +11,7 @@ import numpy as np
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.report.text import plain
+from r2h_batch.base.table import plain
 from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA, REGISTRY, UNITS
 from r2h_batch.view.captions import as_markdown, summary

@@ -49,7 +49,7 @@ def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
         (r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()
     }
     own = list(paper.shares).index("presented")
-    assert rf"\multicolumn{{{len(paper.shares)}}}{{c}}{{Share (\%)}}" in text
+    assert r" & {Share (\%)} \\" in text and len(paper.shares) == 1
     for row in paper.rows:
         rate = row.shares.get("presented")
         assert found[row.split, row.method][len(report.HEADINGS) + own] == (f"{rate.percent:.1f}" if rate else "n/a")

@@ -11,9 +11,9 @@ from made_runs import table_1, write_run
 from needs import CHROMIUM, needs
 from rounds import each
 
+from r2h_batch.base.table import NA
 from r2h_batch.report import page
 from r2h_batch.report.statistics.paired import compare, pair_up
-from r2h_batch.report.text import NA
 
 
 @pytest.fixture(scope="module")

@@ -50,12 +50,12 @@ def compare(
         categories: so many new categories of objects: where their mean difference lies, beside the
             interval for the mean of all categories (without families: objects).
     """
+    from r2h_batch.base.table import plain
     from r2h_batch.report.compare.text import render
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.statistics.shares import hits_on
-    from r2h_batch.report.text import plain
     from r2h_batch.report.trained import sentences
     from r2h_batch.report.turn import turned
 

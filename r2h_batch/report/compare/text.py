@@ -1,26 +1,24 @@
 """Comparisons as Markdown that also reads as plain text, as LaTeX, CSV or JSON."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
+from r2h_batch.base.table import (
+    NA,
+    Column,
+    Record,
+    Table,
+    document,
+    json_text,
+    notes_list,
+    of_lines,
+    plain,
+)
 from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
 from r2h_batch.report.statistics.shares import SHARES
-from r2h_batch.report.text import (
-    NA,
-    aligned,
-    csv_text,
-    json_text,
-    legend,
-    notes_list,
-    plain,
-    short_names,
-    tex,
-    tex_comments,
-    tex_number,
-    tex_table,
-)
+from r2h_batch.report.text import legend, short_names
 from r2h_batch.report.turn import MARK, Turned, about
 from r2h_batch.verdicts import SPLITS
 
@@ -96,7 +94,7 @@ def render(
     if fmt == "latex":
         return _latex(comparisons, origin or {}, notes, turns, shares)
     if fmt == "csv":
-        return _csv(comparisons, turns, shares)
+        return _all_pairs(comparisons, turns, shares).csv()
     if fmt == "json":
         return json_text([_record(c, turns, shares) for c in comparisons])
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
@@ -113,25 +111,60 @@ def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str,
     return found | ({"turns": about(own)} if own else {})
 
 
-def _share_lines(shares: Shares) -> tuple[list[str], list[list[str]]]:
-    """Headings and lines of a table: split, method, and each share with its interval and rows."""
+def _shares(shares: Shares) -> Table:
+    """Split, method, and each share with its interval and rows."""
     names = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
-    short, lines = short_names(list(shares)), []
+    short, records = short_names(list(shares)), []
     for split in SPLITS:
         for method, rates in shares.items():
-            own = [rates.get((split, name)) for name in names]
-            cells = [
-                f"{r.percent:.1f} [{r.low:.0f}, {r.high:.0f}] {r.total}" if r else NA for r in own
-            ]
-            if any(own):
-                lines.append([split, short[method], *cells])
-    return ["Split", "Method", *(SHARES[name].heading for name in names)], lines
+            own = {name: rates.get((split, name)) for name in names}
+            if any(own.values()):
+                record: dict[str, Any] = {"split": split, "method": short[method]}
+                for name, r in own.items():
+                    ends = (r.percent, r.low, r.high, r.total) if r else [None] * 4
+                    keys = (name, f"{name}_low", f"{name}_high", f"{name}_of")
+                    record |= zip(keys, ends, strict=True)
+                records.append(record)
+    form = "{value:.1f} [{low:.0f}, {high:.0f}] {of}"
+    columns = [Column("split", "Split", left=True), Column("method", "Method", left=True)]
+    columns += [Column(name, SHARES[name].heading, form) for name in names]
+    return Table(columns, records, title=SHARES_NOTE)
 
 
 def _marked(c: Comparison, short: Mapping[str, str], turns: Sequence[Turned]) -> dict[str, str]:
     """The short names of a group's methods, with a mark where a turn moves SR by too much."""
     moved = {test.method for test in turns if test.marked and test.group == c.group}
     return {name: short[name] + (f" {MARK}" if name in moved else "") for name in c.names}
+
+
+def _columns(c: Comparison, shown: Mapping[str, str]) -> list[Column]:
+    """What Markdown shows of each pair."""
+    return [
+        Column("a", "A", lambda r: shown[r["a"]], left=True),
+        Column("b", "B", lambda r: shown[r["b"]], left=True),
+        Column("difference", "A-B", "{value:+.1f}"),
+        Column("ends", f"95 % all {_new(c)}", lambda r: _ends(r["low"], r["high"])),
+        Column("few", f"{c.few} new", lambda r: _ends(r["few_low"], r["few_high"], 0)),
+        Column("only", "only A/B", lambda r: f"{r['only_a']}/{r['only_b']}"),
+        Column("p_holm", "p here", lambda r: _p(r["p_holm"])),
+        Column("p_new_holm", "p new", lambda r: _p(r["p_new_holm"])),
+        Column("verdict", "A is"),
+    ]
+
+
+def _ranks(c: Comparison, shown: Mapping[str, str]) -> Table:
+    """How often each method has each rank, and its worst one."""
+    chances = [[f"{100 * p:.0f} %" for p in row] for row in ([] if c.rank is None else c.rank)]
+    ranks = dict(zip(c.ranked, chances, strict=True))
+    for name, worst in zip(c.ranked, c.worst or (), strict=True):
+        without = f" without {worst.without.replace('_', ' ')}" if worst.without else ""
+        ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
+    bound = ["bound", *[""] * len(c.ranked)]
+    lines = [
+        [shown[name], f"{rate:.1f}", *ranks.get(name, bound)]
+        for name, rate in zip(c.names, c.rates, strict=True)
+    ]
+    return of_lines(["Method", "SR", *(f"#{i + 1}" for i in range(len(c.ranked))), "worst"], lines)
 
 
 def _md(
@@ -141,40 +174,16 @@ def _md(
     shares: Shares,
 ) -> str:
     short = short_names([name for c in comparisons for name in c.names])
-    parts = []
+    parts: list[Table | str] = []
     for c in comparisons:
         shown = _marked(c, short, turns)
-        head = ["A", "B", "A-B", f"95 % all {_new(c)}", f"{c.few} new", "only A/B"]
-        head += ["p here", "p new", "A is"]
-        parts.append(f"{c.group}: {c.n} trials, paired on the trial id")
-        lines = []
-        for pair in c.pairs:
-            ends = [_ends(pair.low, pair.high), _ends(pair.few_low, pair.few_high, 0)]
-            names = [plain(shown[pair.a]), plain(shown[pair.b])]
-            cells = [f"{pair.difference:+.1f}", *ends, f"{pair.only_a}/{pair.only_b}"]
-            p = [_p(pair.p_holm), _p(pair.p_new_holm)]
-            lines.append([*names, *cells, *p, pair.verdict])
-        parts.append(aligned(head, lines, 2))
+        title = f"{c.group}: {c.n} trials, paired on the trial id"
+        parts.append(Table(_columns(c, shown), [asdict(p) for p in c.pairs], title=title))
         if c.rank is not None:
-            chances = [[f"{100 * p:.0f} %" for p in row] for row in c.rank]
-            ranks = dict(zip(c.ranked, chances, strict=True))
-            for name, worst in zip(c.ranked, c.worst or (), strict=True):
-                without = f" without {worst.without.replace('_', ' ')}" if worst.without else ""
-                ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
-            bound = ["bound", *[""] * len(c.ranked)]
-            table = [
-                [plain(shown[name]), f"{rate:.1f}", *ranks.get(name, bound)]
-                for name, rate in zip(c.names, c.rates, strict=True)
-            ]
-            places = [f"#{i + 1}" for i in range(len(c.ranked))]
-            parts.append(aligned(["Method", "SR", *places, "worst"], table, 1))
-    head, rows = _share_lines(shares)
-    if rows:
-        rows = [[split, plain(method), *cells] for split, method, *cells in rows]
-        parts += [SHARES_NOTE, aligned(head, rows, 2)]
+            parts.append(_ranks(c, shown))
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
-    parts.append(notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)]))
-    return "\n\n".join(parts) + "\n"
+    words = notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)])
+    return document([*parts, _shares(shares), words])
 
 
 def _latex(
@@ -186,43 +195,46 @@ def _latex(
 ) -> str:
     """All pairs over both columns of a page; what is decided for new objects or categories too is bold."""
     short = short_names([name for c in comparisons for name in c.names])
-    groups = []
+    records: list[dict[str, Any]] = []
     for c in comparisons:
         shown = _marked(c, short, turns)
-        rows: list[str] = []
-        for pair in c.pairs:
-            known = pair.low is not None and pair.high is not None
-            ends = f"[{pair.low:+.1f}, {pair.high:+.1f}]" if known else NA
-            bold = pair.verdict in ("better", "worse")
-            word = rf"\textbf{{{pair.verdict}}}" if bold else pair.verdict
-            p = [_tex_p(pair.p_holm), _tex_p(pair.p_new_holm)]
-            names = ["" if rows else c.group, tex(shown[pair.a]), tex(shown[pair.b])]
-            counts = [str(pair.only_a), str(pair.only_b)]
-            cells = [*names, f"{pair.difference:+.1f}", ends, *counts, *p, word]
-            rows.append(" & ".join(cells) + r" \\")
-        groups.append(rows)
-    signed = tex_number(3, 1).replace("3.1", "+3.1")
-    spec = ["l", "l", "l", signed, "c", "r", "r", *[tex_number(1, 3)] * 2, "l"]
-    head = ["", "$A$", "$B$", "{$A-B$}", r"95\,\%", "only $A$", "only $B$"]
-    head += ["{$p$ here}", "{$p$ new}", "$A$ is"]
+        for k, p in enumerate(c.pairs):
+            names = {"group": "" if k else c.group, "a": shown[p.a], "b": shown[p.b]}
+            records.append(asdict(p) | names)
+    bold = {(k, "verdict") for k, r in enumerate(records) if r["verdict"] in ("better", "worse")}
+    words = [*legend(short), *notes, *_notes(comparisons)]
     decided = f"bold: decided for new ones too, alpha {ALPHA}"
-    comments = tex_comments(origin, [*legend(short), *notes, *_notes(comparisons), decided])
-    tables = tex_table(spec, head, groups)
-    columns, lines = _share_lines(shares)
-    if lines:
-        cells = [" & ".join(map(tex, line)) + r" \\" for line in lines]
-        tables += [
-            f"% {SHARES_NOTE}",
-            *tex_table(["l"] * len(columns), [*map(tex, columns)], [cells]),
-        ]
-    return "\n".join([*comments, *tables]) + "\n"
+    pairs = Table(
+        (
+            *(Column("group", tex=" ", left=True), Column("a", tex="$A$", left=True)),
+            Column("b", tex="$B$", left=True),
+            Column("difference", form="{value:+.1f}", tex="$A-B$"),
+            Column("ends", form=_tex_ends, tex=r"95\,\%"),
+            *(Column("only_a", tex="only $A$"), Column("only_b", tex="only $B$")),
+            Column("p_holm", form=lambda r: _tex_p(r["p_holm"]), tex="$p$ here"),
+            Column("p_new_holm", form=lambda r: _tex_p(r["p_new_holm"]), tex="$p$ new"),
+            Column("verdict", tex="$A$ is", left=True),
+        ),
+        records,
+        notes=[*(f"{key}: {value}" for key, value in origin.items()), *words, decided],
+        bold=frozenset(bold),
+        groups=[("", len(c.pairs)) for c in comparisons],
+    )
+    of_rows = _shares(shares)
+    below = [replace(of_rows, notes=[SHARES_NOTE])] if of_rows.records else []
+    return "\n".join(t.latex() for t in (pairs, *below)) + "\n"
+
+
+def _tex_ends(pair: Record) -> str:
+    known = pair["low"] is not None and pair["high"] is not None
+    return f"[{pair['low']:+.1f}, {pair['high']:+.1f}]" if known else NA
 
 
 def _tex_p(p: float | None) -> str:
-    return "{" + NA + "}" if p is None else r"{$<$0.001}" if p < 0.001 else f"{p:.3f}"
+    return NA if p is None else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> str:
+def _all_pairs(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> Table:
     """One row for each group and pair, with both rates and the share of draws in which each method
     is first; shares of rows where there are any; where there are turn tests, with the largest move of each
     method's rate."""
@@ -245,4 +257,4 @@ def _csv(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Sha
             }
             pair_fields = {"group": c.group, "n": c.n, **asdict(pair), "few": c.few}
             records.append(pair_fields | rates | firsts | of_rows | moves)
-    return csv_text(records)
+    return Table((), records)

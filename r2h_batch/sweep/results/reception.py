@@ -11,9 +11,10 @@ import pyarrow.compute as pc
 import torch
 
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.table import Table, document, notes_list, of_lines
 from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception
 from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.report.text import aligned, notes_list, plain, short_names
+from r2h_batch.report.text import short_names
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.side import side_writer
 from r2h_batch.runs.store import Run
@@ -230,7 +231,7 @@ def render(tables: dict[str, pa.Table]) -> str:
         row = {k: table[k].to_numpy(zero_copy_only=False) for k in table.column_names}
         judged = row["evaluated"]
         got = row["received"] & judged
-        label = plain(short[name])
+        label = short[name]
         last = row[f"n_{STEPS[-1]}"]
         steps = [_percent((row[f"n_{step}"] > 0)[judged]) for step in STEPS]
         shares = [*steps, _percent(got[judged]), _percent(got), _percent(got & row["success"])]
@@ -242,16 +243,16 @@ def render(tables: dict[str, pa.Table]) -> str:
         curve.append([label, *map(_percent, chances), *map(_percent, turned)])
         effort.append([label, *_means(row, got)])
     curve_head = [*(f"K={k}" for k in CURVE_K), *(f"{t} deg" for t in TURNS_DEG)]
-    parts = [
+    parts: list[Table | str] = [
         "Received, by step",
-        aligned(["Method", "n", *STEPS, "received", "of all", "and success"], funnel, 1),
+        of_lines(["Method", "n", *STEPS, "received", "of all", "and success"], funnel),
         "With fewer known grasps, and with less turn of the hand",
-        aligned(["Method", *curve_head], curve, 1),
+        of_lines(["Method", *curve_head], curve),
         "Means of the easiest grasp",
-        aligned(["Method", "turn, deg", "travel, cm", "lean, deg", "effort", "RULA"], effort, 1),
+        of_lines(["Method", "turn, deg", "travel, cm", "lean, deg", "effort", "RULA"], effort),
         notes_list(NOTES),
     ]
-    return "\n\n".join(parts) + "\n"
+    return document(parts)
 
 
 def _percent(hits: Sequence[bool] | np.ndarray) -> str:

@@ -41,9 +41,10 @@ def values(text: str, name: str) -> tuple[float, ...]:
 
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
+    from r2h_batch.base.table import NA, Table, document, notes_list, of_lines, plain
     from r2h_batch.report.statistics.aggregate import ASKED_FAILURES, FAILURES, PARTIAL
     from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
-    from r2h_batch.report.text import NA, aligned, legend, notes_list, plain, short_names
+    from r2h_batch.report.text import legend, short_names
 
     tables = [counts for point in points for counts in point.counts.values()]
     failures = [
@@ -52,7 +53,7 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
         if rate in FAILURES or any(c[:, Outcome[entry.name.upper()]].any() for c in tables)
     ]
     shown = ["SR", *(entry.heading for entry in failures)]
-    short = {method: plain(name) for method, name in short_names(methods).items()}
+    short = short_names(methods)
     lines = []
     for point in points:
         for method in methods:
@@ -68,12 +69,12 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
                     at = (point.reach_radius_m, point.w_max_m, point.safe_margin_m)
                     cells = [*(f"{v:.4g}" for v in at), *rates, str(point.undecided[method])]
                     lines.append([short[method], SPLITS[k], *cells])
-    parts = [
+    parts: list[Table | str] = [
         "Rates in percent of all planned trials (of a criterion for some objects: of those that it concerns), thresholds in"
         " metres, computed from stored margins."
         if PARTIAL
         else "Rates in percent of all planned trials, thresholds in metres, computed from stored margins.",
-        aligned(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, 2),
+        of_lines(["Method", "Split", "r_h", "w_max", "safe", *shown, "undecided"], lines, left=2),
     ]
     if len(methods) > 1:
         ranks = [
@@ -82,15 +83,15 @@ def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
         ]
         parts += [
             f"Share of the {len(points)} settings at which a method has a rank, #1 the best (mean SR of the splits).",
-            aligned(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks, 1),
+            of_lines(["Method", *(f"#{i + 1}" for i in range(len(methods)))], ranks),
         ]
-    if legend_text := legend(short_names(methods)):
+    if legend_text := legend(short):
         parts.append(notes_list(map(plain, legend_text)))
     parts.append(
         "- Poses as they were predicted for the run's own thresholds.\n"
         f"- undecided: within {ROUNDING_M:g} m of a threshold, where float32 does not tell (counted as computed)."
     )
-    return "\n\n".join(parts) + "\n"
+    return document(parts)
 
 
 def rethreshold(

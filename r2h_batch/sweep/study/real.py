@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.base.errors import FileError, UsageError
+from r2h_batch.base.table import Table, document, of_lines
 from r2h_batch.report.statistics.aggregate import wilson_interval
 from r2h_batch.report.statistics.intervals import paired_score_interval
 from r2h_batch.report.statistics.paired import mcnemar
-from r2h_batch.report.text import aligned
 from r2h_batch.sweep.study.report import spearman
 from r2h_batch.sweep.study.table_file import (
     LINE,
@@ -111,9 +111,9 @@ def _paired_report(run: Path, file: Path) -> str:
         "neither",
         "s",
     ]
-    parts = [
+    parts: list[Table | str] = [
         "Success on the same trials; in brackets 95 % intervals (Wilson; Tango for the difference); p: McNemar.",
-        aligned(head, lines, 1),
+        of_lines(head, lines),
     ]
     if empty:
         parts.append(f"{empty} rows have no outcome and are left out.")
@@ -124,7 +124,7 @@ def _paired_report(run: Path, file: Path) -> str:
     )
     if len(found) >= OF_RATES:
         parts.append(_orders(sim, real, [(len(p.sim), len(p.real)) for p in found.values()]))
-    return "\n\n".join(parts) + "\n"
+    return document(parts)
 
 
 def paired_trials(run: Path, file: Path) -> tuple[dict[str, Pairs], int]:
@@ -204,7 +204,7 @@ def _seconds(p: Pairs) -> str:
     return f"{np.median(p.seconds[both] - p.planned_s[both]):+.2f}" if both.any() else "-"
 
 
-def _by_criterion(found: Mapping[str, Pairs]) -> str:
+def _by_criterion(found: Mapping[str, Pairs]) -> Table:
     """A table of what the robot did, for each outcome of the run."""
     counts = Counter(pair for p in found.values() for pair in p.failed)
     lines = []
@@ -227,10 +227,8 @@ def _by_criterion(found: Mapping[str, Pairs]) -> str:
                 ]
             )
     head = ["in the run", "n", "the robot too", "%", "else on the robot"]
-    return (
-        "Agreement by outcome, all methods together (s above: median of measured less planned time).\n\n"
-        + aligned(head, lines, 1)
-    )
+    title = "Agreement by outcome, all methods together (s above: median of measured less planned time)."
+    return of_lines(head, lines, title=title)
 
 
 def _orders(sim: Sequence[float], real: Sequence[float], counts: Sequence[tuple[int, int]]) -> str:
@@ -284,9 +282,9 @@ def _rates_report(run: Path, file: Path, trials: int) -> str:
         real.append(real_sr)
         counts.append((rows[name].n, trials))
     head = ["Method", "sim SR", "real SR", "delta (95 %)", "sim T", "real T", "delta"]
-    text = aligned(head, list(lines.values()), 1) + "\n"
-    text += "\nNo trial is paired, so the intervals are wide: a column trial_id narrows them (`real export`).\n"
-    return text + (f"\n{_orders(sim, real, counts)}\n" if len(lines) >= OF_RATES else "")
+    words = "No trial is paired, so the intervals are wide: a column trial_id narrows them (`real export`)."
+    orders = _orders(sim, real, counts) if len(lines) >= OF_RATES else ""
+    return document([of_lines(head, lines.values()), words, orders])
 
 
 def unpaired_interval(a: tuple[float, int], b: tuple[float, int]) -> tuple[float, float]:

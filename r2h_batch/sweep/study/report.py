@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from r2h_batch.base.errors import FileError, UsageError
-from r2h_batch.report.text import aligned
+from r2h_batch.base.table import document, of_lines
 from r2h_batch.sweep.study.table_file import LINE, NAME, number, read_table
 
 DRAWS = 10_000
@@ -66,11 +66,11 @@ def rating_report(ratings: Mapping[str, Ratings]) -> str:
         pairs = [[a, b, f"{p:.2g}", f"{adjusted:.2g}"] for a, b, p, adjusted in test.pairs]
         parts += [
             f"{dimension}: {test.participants} complete participants, {left_out} left out",
-            aligned(["Method", "n", *keys], lines, 1),
+            of_lines(["Method", "n", *keys], lines),
             friedman,
-            aligned(["A", "B", "Wilcoxon p", "Bonferroni p"], pairs, 2),
+            of_lines(["A", "B", "Wilcoxon p", "Bonferroni p"], pairs, left=2),
         ]
-    return "\n\n".join(parts) + "\n"
+    return document(parts)
 
 
 class Correlation(NamedTuple):
