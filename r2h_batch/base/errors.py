@@ -22,6 +22,12 @@ class UsageError(UserError):
     allowed."""
 
 
+class AnswerError(UserError):
+    """What a method answered cannot be judged: one line that says what was found and what is allowed, with the method's
+    name where more than one may be meant. A sweep leaves this method out, goes on with the others and ends with exit
+    code 2."""
+
+
 class MachineError(RuntimeError):
     """Work that this machine cannot do, whatever is given: one line. A command ends with exit
     code 1."""

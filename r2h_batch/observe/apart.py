@@ -14,8 +14,8 @@ from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 from torch import Tensor
 
-from r2h_batch.base.errors import UserError
-from r2h_batch.observe.messages import MessageError, receive, send
+from r2h_batch.base.errors import AnswerError
+from r2h_batch.observe.messages import receive, send
 from r2h_batch.observe.seen import Observation, packed
 
 MOST_WORDS = 1 << 20
@@ -70,7 +70,7 @@ class Apart:
             seen: of N trials.
 
         Raises:
-            UserError: what the method did wrong, in one line.
+            AnswerError: what the method did wrong, in one line.
         """
         process = self._running()
         assert process.stdin is not None and process.stdout is not None
@@ -80,17 +80,17 @@ class Apart:
             answer = receive(process.stdout, len(seen) * 512 + MOST_WORDS)
         except BrokenPipeError:
             answer = None
-        except MessageError as error:
+        except AnswerError as error:
             self._drop(process)
-            raise UserError(f"its process wrote {error} where its answer belongs") from error
+            raise AnswerError(f"its process wrote {error} where its answer belongs") from error
         if answer is None:
             self._process = None
-            raise UserError(f"its process ended with code {process.wait()}")
+            raise AnswerError(f"its process ended with code {process.wait()}")
         if "error" in answer:
-            raise UserError(str(answer["error"]))
+            raise AnswerError(str(answer["error"]))
         if wrong := _wrong(answer, len(seen)):
             self._drop(process)
-            raise UserError(f"its process wrote {wrong} where its answer belongs")
+            raise AnswerError(f"its process wrote {wrong} where its answer belongs")
         back = torch.argsort(order)
         grasp, handover, seconds = (
             torch.from_numpy(answer[k])[back] for k in ("T_world_grasp", "T_world_ee", "t_method_s")

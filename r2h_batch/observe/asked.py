@@ -19,7 +19,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch.base.errors import UserError
+from r2h_batch.base.errors import AnswerError
 from r2h_batch.base.io.child import end_with
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function, raised
@@ -73,7 +73,7 @@ def main() -> int:
             seconds = (time.perf_counter() - start) / max(len(seen), 1)
             found = _arrays(answer, len(seen), seconds)
         except BaseException as error:  # SystemExit too: the parent says it in one line
-            own = isinstance(error, _WrongAnswerError)
+            own = isinstance(error, AnswerError)
             words = (str(error) if own else raised(error))[:MOST_LETTERS]
             found = {"error": np.array(words + _of_unknown(error, seen))}
         send(answers, found)
@@ -89,26 +89,22 @@ def _of_unknown(error: BaseException, seen: Observation | None) -> str:
     return "; seen.known is None: the objects' models are not told, give --sees RIG,model=known"
 
 
-class _WrongAnswerError(UserError):
-    """An answer that is no pair of poses."""
-
-
 def _arrays(answer: Any, n: int, seconds: float) -> dict[str, NDArray[Any]]:
     """The answer as arrays: `T_world_grasp`, `T_world_ee` (n, 4, 4) float64, `t_method_s` (n,)."""
     if not isinstance(answer, (tuple, list)) or len(answer) != 2:
         size = f" of {len(answer)}" if isinstance(answer, (tuple, list)) else ""
         what = f"its answer is a {type(answer).__name__}{size}"
-        raise _WrongAnswerError(f"{what}; it must be (T_world_grasp, T_world_ee)")
+        raise AnswerError(f"{what}; it must be (T_world_grasp, T_world_ee)")
     found: dict[str, NDArray[Any]] = {"t_method_s": np.full(n, seconds, np.float32)}
     words = f"a tensor ({n}, 4, 4) of torch.float32 or torch.float64"
     for name, value in zip(("T_world_grasp", "T_world_ee"), answer, strict=True):
         try:
             numbers = as_numbers(name, value, words, "cpu")
         except TypeError as error:
-            raise _WrongAnswerError(printable(error)) from None
+            raise AnswerError(printable(error)) from None
         if tuple(numbers.shape) != (n, 4, 4):
             shown = f"{numbers.dtype} {tuple(numbers.shape)}"
-            raise _WrongAnswerError(f"{name} is {shown}; it must be {words}")
+            raise AnswerError(f"{name} is {shown}; it must be {words}")
         found[name] = numbers.detach().cpu().double().numpy()
     return found
 

@@ -9,13 +9,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.errors import UserError
+from r2h_batch.base.errors import AnswerError
 
 _LENGTH = struct.Struct("<Q")
-
-
-class MessageError(UserError):
-    """Bytes that are no message, from a process in which a user's code runs."""
 
 
 def send(pipe: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -42,14 +38,14 @@ def receive(pipe: IO[bytes], most: int) -> dict[str, NDArray[Any]] | None:
         most: bytes of a message; more are not read.
 
     Raises:
-        MessageError: a longer message, or bytes that no `send` wrote. The pipe is of no use then.
+        AnswerError: a longer message, or bytes that no `send` wrote. The pipe is of no use then.
     """
     head = pipe.read(_LENGTH.size) or b""  # None: somebody made the pipe not wait
     if len(head) < _LENGTH.size:
         return None
     (size,) = _LENGTH.unpack(head)
     if size > most:
-        raise MessageError(f"a message of {size} bytes; at most {most} are taken")
+        raise AnswerError(f"a message of {size} bytes; at most {most} are taken")
     data = pipe.read(size) or b""
     if len(data) < size:
         return None
@@ -58,4 +54,4 @@ def receive(pipe: IO[bytes], most: int) -> dict[str, NDArray[Any]] | None:
         names = json.loads(str(np.load(message, allow_pickle=False)))
         return {str(name): np.load(message, allow_pickle=False) for name in names}
     except (ValueError, TypeError, EOFError, OverflowError, MemoryError, RecursionError) as error:
-        raise MessageError("bytes that are no message") from error
+        raise AnswerError("bytes that are no message") from error

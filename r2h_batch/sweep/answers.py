@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor
 
-from r2h_batch.base.errors import UsageError, UserError
+from r2h_batch.base.errors import AnswerError, UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import raised, text_of
@@ -27,11 +27,6 @@ from r2h_batch.verdicts import MOST_SECONDS, SIDES
 if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
     from r2h_batch.methods.predictors import Observations
     from r2h_batch.scene.scene import Scene
-
-
-class AnswerError(UserError):
-    """A method's answer that cannot be scored: names the method, the argument, what was found and
-    what is allowed."""
 
 
 def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predictions:

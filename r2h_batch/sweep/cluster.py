@@ -19,13 +19,12 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.base.command_line import refuse
-from r2h_batch.base.errors import MachineError
+from r2h_batch.base.errors import AnswerError, MachineError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.runs.header import Shard, differing
 from r2h_batch.runs.writing import TRIES, ShardWriter
 from r2h_batch.sweep import jobs as sweep_jobs
-from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import Setting
 from r2h_batch.sweep.request import Request
 from r2h_batch.sweep.scoring import Scoring, Stopped, progress, score_shard, warm_up

@@ -13,6 +13,7 @@ import pyarrow as pa
 import torch
 
 from r2h_batch.base.command_line import counted, refuse
+from r2h_batch.base.errors import AnswerError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.progress import progress as steps
 from r2h_batch.base.io.read import printable
@@ -32,7 +33,6 @@ from r2h_batch.runs.rows import (
     sees_rows,
 )
 from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
-from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
 from r2h_batch.types import Outcome, Predictions, Trials
 

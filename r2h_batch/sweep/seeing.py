@@ -11,11 +11,10 @@ from jaxtyping import Bool, Float32, Float64, Int64
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.errors import UserError
+from r2h_batch.base.errors import AnswerError
 from r2h_batch.observe.apart import Apart
 from r2h_batch.observe.seen import LABELS, Observation
 from r2h_batch.observe.sees import Sees
-from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CRITERIA
 
@@ -196,7 +195,7 @@ class SeeingMethod:
         look = self.looks.of(trials)
         try:
             grasp, handover, seconds = self._asked.ask(look.seen)
-        except UserError as error:
+        except AnswerError as error:
             raise AnswerError(f"method {self.name}: {error}") from None
         home = look.T_world_obj.device
         T_obj_ee = se3.matmul(se3.inverse(look.T_world_obj.double()), grasp.to(home)).float()

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pydantic import TypeAdapter
 
 from r2h_batch.base import se3
-from r2h_batch.base.errors import FileError, UsageError
+from r2h_batch.base.errors import AnswerError, FileError, UsageError
 from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
@@ -31,7 +31,6 @@ from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import UNJUDGED, Run, load_run
 from r2h_batch.scene.robot import Robot
-from r2h_batch.sweep.answers import AnswerError
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import ELSEWHERE, EVERY, IN_ORDER, MOST_SECONDS, NO_LONGER, UNITS

@@ -17,7 +17,13 @@ CONTROL = {"Stopped", "NothingFits", "PluginError"}
 @pytest.mark.check
 @pytest.mark.parametrize(
     ("error", "code"),
-    [(errors.UserError, 2), (errors.FileError, 2), (errors.UsageError, 2), (errors.MachineError, 1)],
+    [
+        (errors.UserError, 2),
+        (errors.FileError, 2),
+        (errors.UsageError, 2),
+        (errors.AnswerError, 2),
+        (errors.MachineError, 1),
+    ],
 )
 def test_the_command_line_makes_one_line_and_an_exit_code_of_every_error_of_the_family(error, code, capsys):
     def work():

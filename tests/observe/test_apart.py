@@ -10,7 +10,7 @@ import torch
 from rays_twin import RIG, cell
 from rounds import each
 
-from r2h_batch.base.errors import UserError
+from r2h_batch.base.errors import AnswerError
 from r2h_batch.methods.predictors import predict_parts
 from r2h_batch.observe.apart import Apart
 from r2h_batch.observe.messages import receive
@@ -129,7 +129,7 @@ def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_t
 )
 def test_a_method_that_reaches_for_the_truth_is_refused_in_one_line(line, tmp_path):
     text = f"def predict(seen):\n    {line}\n"
-    with pytest.raises(UserError, match="a method that sees cannot have it") as refused:
+    with pytest.raises(AnswerError, match="a method that sees cannot have it") as refused:
         Apart(method(tmp_path, text), {}, 1).ask(view())
     assert "\n" not in str(refused.value)
 
@@ -183,7 +183,7 @@ def test_answers_come_back_to_their_own_trials_whatever_the_order_and_the_batch(
     ],
 )
 def test_what_a_method_does_wrong_is_said_in_one_line(text, words, tmp_path):
-    with pytest.raises(UserError) as refused:
+    with pytest.raises(AnswerError) as refused:
         Apart(method(tmp_path, text), {}, 1).ask(view())
     assert words in str(refused.value) and "\n" not in str(refused.value)
 
@@ -223,7 +223,7 @@ def test_what_is_no_real_numbers_of_the_right_shape_is_refused_and_the_process_a
             "AttributeError: 'NoneType' object has no attribute 'mesh_of' (",
         )
     ):
-        with pytest.raises(UserError) as refused:
+        with pytest.raises(AnswerError) as refused:
             apart.ask(view())
         said = str(refused.value)
         assert words in said and "\n" not in said and "model=known" not in said
@@ -269,7 +269,7 @@ def predict(seen):
 )
 def test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_process_ends(words, said, tmp_path):
     apart = Apart(method(tmp_path, WRITES.replace("{words}", words)), {}, 1)
-    with pytest.raises(UserError) as refused:
+    with pytest.raises(AnswerError) as refused:
         apart.ask(view())
     assert said in str(refused.value) and "\n" not in str(refused.value) and apart.process_id is None
 
@@ -282,7 +282,7 @@ def test_a_process_that_was_killed_is_started_anew_and_one_that_nobody_asks_ends
     apart.ask(view())
     first = apart.process_id
     os.kill(first, signal.SIGKILL)
-    with pytest.raises(UserError, match="ended with code -9"):
+    with pytest.raises(AnswerError, match="ended with code -9"):
         apart.ask(view())
     apart.ask(view())
     second = apart.process_id
