@@ -15,16 +15,23 @@ from made_runs import write_run
 from problems import default_evaluator, make_batch
 
 from r2h_batch import Benchmark, EvalConfig, Evaluator, Predictions, Scene, load_benchmark, reward, show
+from r2h_batch.base.errors import UsageError
 from r2h_batch.base.soft import soft_success
+from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.data.people import built_in_people
+from r2h_batch.learning.rank import Recipe
+from r2h_batch.methods.ranker.observe import Seen
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.report.statistics import aggregate, paired
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.options import parse
+from r2h_batch.sweep.request import requested
 from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.trials.noise import PredictorNoise
 from r2h_batch.trials.predictions import load_predictions, write_predictions
 
 WRONG = {
@@ -218,6 +225,62 @@ def test_an_argument_of_the_wrong_kind_is_named(name, tmp_path):
 def test_a_misspelt_keyword_gets_the_nearest_name(call, words):
     with pytest.raises(TypeError, match=re.escape(words)):
         call()
+
+
+NAN, INFINITE = float("nan"), float("inf")
+OUTSIDE = [
+    (LoopConfig, {"rate_hz": 9}, "LoopConfig.rate_hz is 9; it must be 10 or more"),
+    (LoopConfig, {"rate_hz": 51}, "LoopConfig.rate_hz is 51; it must be 50 or less"),
+    (LoopConfig, {"rate_hz": 20.5}, "LoopConfig.rate_hz is 20.5; it must be a whole number"),
+    (LoopConfig, {"horizon_s": 0.9}, "LoopConfig.horizon_s is 0.9; it must be 1 or more"),
+    (LoopConfig, {"horizon_s": 601}, "LoopConfig.horizon_s is 601; it must be 600 or less"),
+    (LoopConfig, {"horizon_s": NAN}, "LoopConfig.horizon_s is nan; it must be"),
+    (LoopConfig, {"latency_s": -1}, "LoopConfig.latency_s is -1; it must be 0 or more"),
+    (LoopConfig, {"latency_s": 6}, "LoopConfig.latency_s is 6; it must be 5 or less"),
+    (LoopConfig, {"noise": INFINITE}, "LoopConfig.noise is inf; it must be 100 or less"),
+    (LoopConfig, {"noise": -1}, "LoopConfig.noise is -1; it must be 0 or more"),
+    (LoopConfig, {"dropout": 0.96}, "LoopConfig.dropout is 0.96; it must be 0.95 or less"),
+    (LoopConfig, {"dropout": -0.1}, "LoopConfig.dropout is -0.1; it must be 0 or more"),
+    *(
+        (Recipe, {name: 0}, f"Recipe.{name} is 0; it must be 1 or more")
+        for name in ("items", "steps", "mined_items", "mined_steps")
+    ),
+    *((Recipe, {name: -1}, f"Recipe.{name} is -1; it must be 0 or more") for name in ("regions", "rounds", "seed", "renew")),
+    (Recipe, {"steps": True}, "Recipe.steps is True; it must be a whole number"),
+    (Recipe, {"leave_out": "cup"}, "Recipe.leave_out is 'cup'; it must be a list: categories or names of instances"),
+    (Recipe, {"leave_out": (3,)}, "Recipe.leave_out[0] is 3; it must be text: categories or names of instances"),
+    (Seen, {"cloud": 0}, "Seen.cloud is 0; it must be 1 or more"),
+    (Seen, {"cloud": 2049}, "Seen.cloud is 2049; it must be 2048 or less"),
+    (Seen, {"cloud": 96.0}, "Seen.cloud is 96.0; it must be a whole number"),
+    (Seen, {"hand": 0}, "Seen.hand is 0; it must be 1 or more"),
+    (Seen, {"contacts": 1}, "Seen.contacts is 1; it must be true or false"),
+    (Seen, {"spread": "no"}, "Seen.spread is 'no'; it must be true or false"),
+    (Seen, {"noise": 0.5}, "Seen.noise is 0.5; it must be a PredictorNoise"),
+    (PredictorNoise, {"target_errors": "x"}, "PredictorNoise.target_errors is 'x'; allowed are 'normal', 'frames' or 'tails'"),
+    *(
+        (PredictorNoise, {field.name: value}, f"PredictorNoise.{field.name} is {value}; it must be")
+        for field in dataclasses.fields(PredictorNoise)
+        if field.name != "target_errors"
+        for value in (-1, NAN, INFINITE)
+    ),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("kind", "given", "words"), OUTSIDE)
+def test_a_field_outside_of_its_annotation_is_refused_in_a_line(kind, given, words):
+    with pytest.raises((TypeError, ValueError), match=re.escape(words)) as error:
+        kind(**given)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("value", "words"), [("0.9", "1 or more"), ("601", "600 or less")])
+def test_a_horizon_that_no_loop_has_is_refused_by_its_flag(value, words, tmp_path):
+    options = parse(
+        ["--method", "random", "--receiver-motion", "still", "--horizon", value, "--out", str(tmp_path / "run")]
+    )
+    with pytest.raises(UsageError, match=rf"^--horizon is {float(value):g}(\.0)?; it must be {words}$"):
+        requested(options)
+    assert not (tmp_path / "run").exists()
 
 
 def test_configurations_are_copied_pickled_and_read_as_before():

@@ -8,7 +8,7 @@ batch. Definitions: docs/receivers.md, "Receivers that move".
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Literal, TypeGuard, get_args
+from typing import Annotated, Any, Literal, TypeGuard, get_args
 
 import gymnasium
 import numpy as np
@@ -18,6 +18,7 @@ from gymnasium.spaces import Box, Dict
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from jaxtyping import Bool, Float32, Float64, Int8
+from pydantic import Field
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
@@ -150,27 +151,15 @@ class LoopConfig:
         seed: of noise and drop-outs.
     """
 
-    rate_hz: int = 20
-    horizon_s: float = 15.0
-    latency_s: float = 0.1
-    noise: float = 1.0
-    dropout: float = 0.05
+    rate_hz: Annotated[int, Field(ge=10, le=50)] = 20
+    horizon_s: Annotated[float, Field(ge=1, le=600)] = 15.0
+    latency_s: Annotated[float, Field(ge=0, le=5)] = 0.1
+    noise: Annotated[float, Field(ge=0, le=100)] = 1.0
+    dropout: Annotated[float, Field(ge=0, le=0.95)] = 0.05
     seed: int = 0
 
     def __post_init__(self) -> None:
         validate_fields(self)
-        ranges = {
-            "rate_hz": (10, 50),
-            "horizon_s": (1, 600),
-            "latency_s": (0, 5),
-            "noise": (0, 100),
-            "dropout": (0, 0.95),
-        }
-        for name, (low, high) in ranges.items():
-            if not low <= getattr(self, name) <= high:
-                raise ValueError(
-                    f"LoopConfig.{name} is {getattr(self, name)}; allowed is {low} to {high}"
-                )
 
 
 @dataclass(frozen=True)

@@ -56,16 +56,15 @@ def checked_inputs(
     shape, words = (
         ((n, k, 4, 4), f"({n}, K, 4, 4)") if many else ((n, 4, 4), f"({n}, 4, 4) or ({n}, K, 4, 4)")
     )
-    poses = []
-    for name, pose, expected in (
+    hand, of_hand = "trials.T_world_hand", f"a torch tensor ({n}, 4, 4) of torch.float32"
+    T_world_hand = check_tensor(hand, trials.T_world_hand, of_hand)
+    if T_world_hand.dtype != torch.float32:
+        raise TypeError(f"{hand} is {T_world_hand.dtype}; it must be torch.float32: call .float()")
+    for name, value, expected in (
         ("T_obj_ee", T_obj_ee, shape),
         (second, T_world_ee, shape),
-        ("trials.T_world_hand", trials.T_world_hand, (n, 4, 4)),
+        (hand, T_world_hand, (n, 4, 4)),
     ):
-        value = check_tensor(name, pose, "a torch tensor (B, 4, 4) or (N, K, 4, 4)")
-        poses.append(value)
-        if value.dtype != torch.float32:
-            raise TypeError(f"{name} is {value.dtype}; it must be torch.float32: call .float()")
         if value.shape != expected:
             allowed = words if name == "T_obj_ee" else str(tuple(expected))
             raise ValueError(
@@ -88,7 +87,6 @@ def checked_inputs(
                 f"trials.{name} is {index.dtype} {tuple(index.shape)} on {index.device}; "
                 f"it must be {dtype} ({n},) on {device}"
             )
-    T_obj_ee, T_world_ee, _ = poses
     if not torch.compiler.is_compiling() and any(x.is_neg() for x in trials._tensors().values()):
         trials = trials._changed(Tensor.resolve_neg)
     if many:

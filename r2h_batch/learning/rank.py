@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
+from pydantic import Field
 from torch import Tensor, nn
 
 from r2h_batch.base.errors import FileError, UserError
@@ -18,7 +19,7 @@ from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import open_file
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.launch.threads import one_torch_thread
-from r2h_batch.base.validate import integer, sequence_of
+from r2h_batch.base.validate import validate_fields
 from r2h_batch.learning.mining import mine
 from r2h_batch.learning.pairs import Pairs, stream
 from r2h_batch.methods.learned import trained_on as trained_on_of
@@ -67,6 +68,8 @@ def stored_state(path: Path) -> Iterator[Mapping[str, Any]]:
         raise FileError(f"{path}: {words}") from error
 
 
+AtLeastOne = Annotated[int, Field(ge=1)]
+NotNegative = Annotated[int, Field(ge=0)]
 Told = Callable[[str], None]
 Logged = Callable[[Mapping[str, float], int], None]
 
@@ -91,23 +94,21 @@ class Recipe:
     """
 
     families: str = "* x 5 seed 5"
-    leave_out: tuple[str, ...] = ()
-    regions: int = 2
-    seed: int = 0
-    items: int = 24
-    steps: int = 1200
-    rounds: int = 3
-    mined_items: int = 4
-    mined_steps: int = 300
+    leave_out: Annotated[
+        tuple[str, ...], Field(description="categories or names of instances")
+    ] = ()
+    regions: NotNegative = 2
+    seed: NotNegative = 0
+    items: AtLeastOne = 24
+    steps: AtLeastOne = 1200
+    rounds: NotNegative = 3
+    mined_items: AtLeastOne = 4
+    mined_steps: AtLeastOne = 300
     start: str = ""
-    renew: int = 0
+    renew: NotNegative = 0
 
     def __post_init__(self) -> None:
-        for name in ("items", "steps", "mined_items", "mined_steps"):
-            integer(1)(name, getattr(self, name))
-        for name in ("regions", "rounds", "seed", "renew"):
-            integer(0)(name, getattr(self, name))
-        sequence_of(str, "categories or names of instances", least=0)("leave_out", self.leave_out)
+        validate_fields(self)
 
     @property
     def all_steps(self) -> int:

@@ -457,10 +457,8 @@ def check(options: Options) -> Options:
     if options.policy != Options.policy and not options.receiver_motion:
         words = "add --receiver-motion, such as moves or still"
         raise UsageError(f"--policy moves the arm in closed loop; {words}")
-    if options.horizon is not None:
-        if not options.receiver_motion:
-            raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
-        command_line.check_range("--horizon", options.horizon, 1, 600)
+    if options.horizon is not None and not options.receiver_motion:
+        raise UsageError("--horizon is of a closed loop; add --receiver-motion, such as moves")
     if options.sees:
         from r2h_batch.observe.sees import Sees
 

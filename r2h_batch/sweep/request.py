@@ -220,6 +220,7 @@ def requested(options: Options) -> Request:
     Raises:
         ValueError: one line about an option that cannot be.
     """
+    loop = _loop(options)
     options, released = _with_trials(options)
     config = configured(EvalConfig.preset(options.preset), options.settings)
     flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkChoice)}
@@ -250,7 +251,7 @@ def requested(options: Options) -> Request:
             options.format,
             options.log or None,
         ),
-        _loop(options),
+        loop,
         released.left_out if released is not None and not options.replan else {},
     )
 
@@ -333,5 +334,10 @@ def _loop(options: Options) -> "Loop | None":
     motion = ReceiverMotion.parse(options.receiver_motion, options.seed)
     config, horizon_s = LoopConfig(seed=options.seed), options.horizon
     if horizon_s is not None:
-        config = replace(config, horizon_s=horizon_s)
+        try:
+            config = replace(config, horizon_s=horizon_s)
+        except ValueError as error:
+            raise UsageError(
+                f"--horizon{str(error).removeprefix('LoopConfig.horizon_s')}"
+            ) from None
     return Loop(motion, options.policy, config)

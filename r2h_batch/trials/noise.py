@@ -4,19 +4,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 import torch
 from jaxtyping import Float32, Float64, Int32, Int64
 from numpy.typing import NDArray
+from pydantic import Field
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
+from r2h_batch.base.validate import validate_fields
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.scene import Scene
 
+NotNegative = Annotated[float, Field(ge=0, allow_inf_nan=False, description="0 is exact")]
 Errors = Literal["normal", "frames", "tails"]
 """Error models of the target hand. normal: the deviations below. frames: what published estimators
 were off by in single frames, with their outliers and flipped hands
@@ -35,26 +38,20 @@ class PredictorNoise:
     (AffordanceNet, Do et al. 2018); here the mean IoU of parts is 0.76. From memory.
     """
 
-    receiving_rotation_deg: float = 8.0
+    receiving_rotation_deg: NotNegative = 8.0
     """receiver's hand on the object: turn about its palm"""
-    receiving_translation_m: float = 0.010
-    target_rotation_deg: float = 6.0
+    receiving_translation_m: NotNegative = 0.010
+    target_rotation_deg: NotNegative = 6.0
     """target hand in the world: turn about its palm"""
-    target_translation_m: float = 0.012
-    border_m: float = 0.006
+    target_translation_m: NotNegative = 0.012
+    border_m: NotNegative = 0.006
     """shift of the border between two labelled parts along the surface"""
-    frame_factor: float = 1.0
+    frame_factor: NotNegative = 1.0
     """on the errors of single frames, where `target_errors` asks for them"""
     target_errors: Errors = "normal"
 
     def __post_init__(self) -> None:
-        if self.target_errors not in get_args(Errors):
-            raise ValueError(
-                f"target_errors is {self.target_errors!r}; allowed are {', '.join(get_args(Errors))}"
-            )
-        for name, value in self._numbers().items():
-            if not (np.isfinite(value) and value >= 0):
-                raise ValueError(f"{name} is {value}; it must be a number, 0 (exact) or more")
+        validate_fields(self)
 
     def _numbers(self) -> dict[str, float]:
         return {f.name: getattr(self, f.name) for f in fields(self) if f.name != "target_errors"}

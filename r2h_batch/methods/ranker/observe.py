@@ -3,14 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Annotated
 
 import numpy as np
 import torch
 from jaxtyping import Float32
+from pydantic import Field
 from torch import Tensor
 
 from r2h_batch.base import se3
-from r2h_batch.base.validate import boolean, instance_of, integer, optional
+from r2h_batch.base.validate import validate_fields
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import center_of
 from r2h_batch.methods.predictors import (
@@ -38,18 +40,14 @@ class Seen:
         spread: False: the cloud's first points, which lie on one piece of the surface. Weights of before learned from these.
     """
 
-    cloud: int = 96
-    hand: int = 64
+    cloud: Annotated[int, Field(ge=1, le=POINTS)] = 96
+    hand: Annotated[int, Field(ge=1)] = 64
     contacts: bool = False
     noise: PredictorNoise | None = None
     spread: bool = True
 
     def __post_init__(self) -> None:
-        integer(1, POINTS)("cloud", self.cloud)
-        integer(1)("hand", self.hand)
-        boolean("contacts", self.contacts)
-        boolean("spread", self.spread)
-        optional(instance_of(PredictorNoise, "PredictorNoise(...)"))("noise", self.noise)
+        validate_fields(self)
 
 
 def observe(
