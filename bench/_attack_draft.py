@@ -74,12 +74,10 @@ def sealed(change: Callable[[Any], Any]) -> Damage:
     def damage(path: Path) -> None:
         import pyarrow.parquet as pq
 
-        from r2h_batch.runs.side import side_writer
+        from r2h_batch.runs.side import write_side
 
         table = pq.read_table(path, partitioning=None)
-        new = change(table.replace_schema_metadata(None))
-        with side_writer(path, new.schema) as writer:
-            writer.write(new)
+        write_side(path, change(table))
 
     return damage
 

@@ -67,7 +67,7 @@ of successes, and the least distance between robot and hand.
 def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
     """The shipped baselines, or some of them, how many trials each has, and the scores of all: method by method."""
     from r2h_batch import load_benchmark
-    from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.judge import Judge
 
     run = load_benchmark().baselines().only(only)
     judge = Judge(run)

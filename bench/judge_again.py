@@ -41,7 +41,7 @@ from r2h_batch.methods.predictors import PredictorNoise
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.sweep.results.reevaluation import Judge
+from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.trials.noise import estimated_hand
 
 TOLERANCE_M = 1e-4

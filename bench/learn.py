@@ -270,8 +270,8 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     trial."""
     from r2h_batch.judge.reception import reception
     from r2h_batch.report.compare.stored import load_baselines
-    from r2h_batch.sweep.results.reception import judged_again
-    from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.judge import Judge
+    from r2h_batch.sweep.results.questions import judged, parts
 
     run = load_baselines(folder).only(BESIDE)
     judge = Judge(run)
@@ -279,7 +279,8 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     ends: dict[str, dict[str, np.ndarray]] = {}
     for name in sorted(run.methods, key=lambda n: [n.lower().startswith(word) for word in BESIDE], reverse=True):
         own = {k: np.zeros(2 * trials, bool) for k in ("success", "received")}
-        for trial_id, scores, won in judged_again(run, name, judge):
+        for part in parts(run, name):
+            (trial_id, scores), won = judged(judge, part), part.success
             first = np.flatnonzero(trial_id < 2 * trials)
             some = scores[torch.from_numpy(first)]
             own["success"][trial_id[first]] = [won[i] for i in trial_id[first].tolist()]

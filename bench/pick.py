@@ -137,7 +137,7 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
     from r2h_batch.judge.pick import Picked, picked
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.judge import Judge
     from r2h_batch.types import CollidingPair
 
     listed = [r for of in CAUSES.values() for r in of]

@@ -80,7 +80,7 @@ GROWTH = """
 def judged(run: Any, trials: int) -> tuple[Any, dict[str, Any]]:
     """The judge of the baselines, and the table of each method; of the first `trials` of each split."""
     from r2h_batch.sweep.results import reception as stored
-    from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.judge import Judge
 
     judge, ids = Judge(run), np.arange(2 * trials)
     tables = tables_of(run, judge, trials)
@@ -92,14 +92,15 @@ def judged(run: Any, trials: int) -> tuple[Any, dict[str, Any]]:
 
 def tables_of(run: Any, judge: Any, trials: int) -> dict[str, Any]:
     """The table of each method's rows, of the first `trials` of each split."""
+    from r2h_batch.sweep.results import questions
     from r2h_batch.sweep.results import reception as stored
 
     tables = {}
     for name in run.methods:
-        (whole,) = stored.judged_again(run, name, judge)  # of one part: 1,000 rows
-        own, scores, won = whole
+        (whole,) = questions.parts(run, name)  # 1,000 rows
+        own, scores = questions.judged(judge, whole)
         first = np.flatnonzero(own < 2 * trials)
-        tables[name] = stored.rows_of(own[first], scores[torch.from_numpy(first)], won)
+        tables[name] = stored.rows_of(own[first], scores[torch.from_numpy(first)], whole.success)
         print(name, tables[name]["received"].to_numpy().mean(), flush=True)
     return tables
 

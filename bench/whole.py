@@ -244,7 +244,7 @@ def _checked(folder: Path) -> list[dict[str, Any]]:
     from r2h_batch.judge.reception import reception
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
-    from r2h_batch.sweep.results.reevaluation import Judge
+    from r2h_batch.sweep.results.judge import Judge
 
     run = load_run(folder)
     judge = Judge(run)

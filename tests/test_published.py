@@ -14,7 +14,8 @@ from rounds import each
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "docs" / "results"

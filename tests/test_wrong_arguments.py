@@ -30,7 +30,8 @@ from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.options import parse
 from r2h_batch.sweep.request import requested
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.trials.noise import PredictorNoise
 from r2h_batch.trials.predictions import load_predictions, write_predictions
 

@@ -1,5 +1,5 @@
-"""Names that a command line takes: protocols, presets, engines and methods, each an entry here and
-a function in its folder. Light.
+"""Names that a command line takes: protocols, presets, engines, methods and questions about stored rows, each an entry here
+and a function in its folder. Light.
 
 Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, families of
 `scene.families.family.FAMILIES`, robots of `scene.robot.ROBOTS`.
@@ -108,6 +108,10 @@ _OURS = (
 METHOD_NAMES = tuple(entry.name for entry in _OURS)
 METHODS: Registry[Any] = Registry("method", {entry.name: entry for entry in _OURS})
 """Built-in methods' entries, and functions that packages name as `method.NAME`."""
+
+QUESTIONS: Registry[Any] = Registry("question", names=("reception",), light=True)
+"""Questions about stored rows (`sweep.results.questions.Question`) whose answers lie beside the shards, in RUN/NAME: ours add
+themselves when `sweep/results/NAME.py` is imported, and packages name theirs as `question.NAME`."""
 
 TURNS = ("half", "cycled")
 """Turns of the objects' frames that a turn test makes: by 180 degrees about z; x to y, y to z, z to x.

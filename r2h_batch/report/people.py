@@ -126,36 +126,29 @@ def served(run: Run) -> Served:
     columns = {k: v[known] for k, v in columns.items()}
     later = {
         what: {method: values[known] for method, values in of.items()}
-        for what, of in _later(run, ids[0], success).items()
+        for what, of in _later(run, ids[0]).items()
     }
     return Served(tuple(run.methods), success[:, known], columns, later)
 
 
-def _later(
-    run: Run, trial_id: NDArray[np.int64], success: Mask
-) -> dict[str, dict[str, NDArray[np.float64]]]:
+def _later(run: Run, trial_id: NDArray[np.int64]) -> dict[str, dict[str, NDArray[np.float64]]]:
     """`Served.later` of all trials, in their order."""
     found: dict[str, dict[str, NDArray[np.float64]]] = {}
-    for k, method in enumerate(run.methods):
-        got = _received(run, method, trial_id, success[k])
+    for method in run.methods:
+        got = _received(run, method, trial_id)
         if got is not None:
             found.setdefault(RECEIVED, {})[method] = got
     return found
 
 
-def _received(
-    run: Run, method: str, trial_id: NDArray[np.int64], success: Mask
-) -> NDArray[np.float64] | None:
-    """1 or 0 of each trial that `results reception` has judged, else NaN; None without its file, or if that was made of other
-    rows: its trials or successes are not the run's."""
+def _received(run: Run, method: str, trial_id: NDArray[np.int64]) -> NDArray[np.float64] | None:
+    """1 or 0 of each trial that `results reception` has judged, else NaN; None without its answers."""
     table = run.side(method, RECEPTION)
     if table is None:
         return None
-    names = ("trial_id", "success", "evaluated", "received")
-    ids, won, asked, got = (table[k].to_numpy(zero_copy_only=False) for k in names)
+    names = ("trial_id", "evaluated", "received")
+    ids, asked, got = (table[k].to_numpy(zero_copy_only=False) for k in names)
     place = np.searchsorted(trial_id, ids)
-    if not np.array_equal(success[place], won.astype(bool)):
-        return None
     found = np.full(len(trial_id), np.nan)
     found[place] = np.where(asked.astype(bool), got.astype(np.float64), np.nan)
     return found

@@ -22,6 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, c
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.read import read_json as read_any_json
+from r2h_batch.base.registry import QUESTIONS
 from r2h_batch.base.validate import rule_of
 from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
@@ -42,8 +43,7 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 chunk, so a dictionary stores them in less than a bit a trial."""
 
 FOLDERS = ("shards", "methods", ".claims")
-SIDE_FOLDERS = ("reception",)
-"""Folders of a run; a link in the place of one is refused. The last one holds a file for each method (side.py)."""
+"""Folders of a run; a link in the place of one is refused, and of one that holds answers beside the shards (side.py)."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits
 MAX_TEXT = 4096
@@ -316,7 +316,7 @@ def read_header(folder: Path) -> dict[str, Any]:
     if header["hash"] != run_hash(header):
         words = "restore it, or sweep into another --out"
         raise RunError(f"{path}: its fields do not agree with its own hash; {words}")
-    for kind in (*FOLDERS, *SIDE_FOLDERS):
+    for kind in (*FOLDERS, *QUESTIONS):
         inside = [folder / kind]  # through a link, files elsewhere would be read and renamed
         if kind != ".claims" and inside[0].is_dir() and not inside[0].is_symlink():
             inside += [Path(entry.path) for entry in os.scandir(inside[0])]

@@ -479,21 +479,28 @@ class Run:
             raise RunError(f"{self.folder}: shard {index} of {method!r} has no {kind}")
         return stored.table(kind, schema_of(stored.header, kind).names)
 
-    def side(self, method: str, folder: str, path: Path | None = None) -> pa.Table | None:
-        """The file beside a method's shards (side.py), as tables read it; None: there is none.
+    def side(self, method: str, question: str, schema: pa.Schema | None = None) -> pa.Table | None:
+        """The answers beside a method's shards (side.py). None: there are none, or they were made of other rows: their
+        `success` is not that of the run.
 
         Args:
             method: its name.
-            folder: reception.
-            path: the file; None: that of the method.
+            question: one of `QUESTIONS`, as `reception`.
+            schema: of the columns, `trial_id` among them; None: those that tables read.
 
         Raises:
-            RunError: it is damaged, too large, lacks a column, or says something about other trials.
+            RunError: the file is damaged, too large, lacks a column, or says something about other trials.
         """
-        path = side_path(self.entry(method), folder) if path is None else path
+        path = side_path(self.entry(method), question)
         if not os.path.lexists(path):
             return None
-        return read_side(path, self.trials(method, ["trial_id"])["trial_id"].to_numpy())
+        rows = self.trials(method, ["trial_id", "outcome"])
+        table = read_side(path, rows["trial_id"].to_numpy(), schema)
+        if "success" in table.column_names:
+            won = rows["trial_id"].filter(pc.equal(rows["outcome"], "success"))
+            if not pc.is_in(table["trial_id"], won.combine_chunks()).equals(table["success"]):
+                return None
+        return table
 
     def verify(self) -> None:
         """Raise `RunError` unless every stored shard is as it was written."""

@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from r2h_batch.base.io.parquet import refused_parquet
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import is_drawn
+from r2h_batch.base.registry import QUESTIONS, is_drawn
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs.files import RunError, claim, drop_remains, in_the_way
-from r2h_batch.runs.header import SIDE_FOLDERS, Shard, shard_at
+from r2h_batch.runs.header import Shard, shard_at
 from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.shard import (
     ANSWERED,
@@ -131,7 +131,7 @@ def not_as_planned(
 def first_problem(folder: Path, entries: Sequence[Entry]) -> str:
     """The first shard that cannot be trusted, as one line with what to do; empty: there is none."""
     for problem in problems_of(entries):
-        beside = problem.file.parent.name in SIDE_FOLDERS
+        beside = problem.file.parent.name in QUESTIONS
         if problem.shard is not None or beside:
             then = HOW.format(problem.file.parent.name).partition("`")[2]
             redone = f"sets it aside, `{then}" if beside else "marks it, the sweep redoes it"
@@ -152,7 +152,7 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """
     entries = {e.name: e for e in read_methods(folder, header)}
     places = [shard_folder(folder, e.slug) for e in entries.values()]
-    drop_remains(folder, folder / "methods", *places, *(folder / name for name in SIDE_FOLDERS))
+    drop_remains(folder, folder / "methods", *places, *(folder / name for name in QUESTIONS))
     seen = problems_of(entries.values())
     lines = [set_aside(p) for p in seen if p.shard is None]
     for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):

@@ -31,7 +31,8 @@ from r2h_batch.runs.explain import PICKS, RECEIVES, headline
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.sweep.results.rethreshold import render as render_points
 from r2h_batch.types import CollidingPair
 from r2h_batch.verdicts import (

@@ -8,9 +8,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
-from made_runs import made_trials, make_header, make_scores, store, write_run, write_side
+from made_runs import made_trials, make_header, make_scores, store, write_run
 
 from r2h_batch.report.people import people_lines, served
+from r2h_batch.runs.side import write_side
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome

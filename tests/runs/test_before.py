@@ -15,7 +15,8 @@ from r2h_batch.report.table import render, table_of
 from r2h_batch.runs import before
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 
 DRAFT = Path(__file__).resolve().parents[1] / "frozen" / "draft"
 """A run of the draft that asked for Taken, with transfers beside its shards."""

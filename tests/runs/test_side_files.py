@@ -7,11 +7,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from made_runs import with_a_fatal_footer, write_run, write_side
+from made_runs import with_a_fatal_footer, write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.people import RECEPTION
 from r2h_batch.runs.files import RunError
+from r2h_batch.runs.side import write_side
 from r2h_batch.runs.store import load_run
 
 N = 6
@@ -42,7 +43,9 @@ def run(good, tmp_path):
 
 def put(run, rows):
     """Stores rows as the reception of the run's method."""
-    return write_side(run / RECEPTION / "m.parquet", rows)
+    path = run / RECEPTION / "m.parquet"
+    write_side(path, rows)
+    return path
 
 
 def read(run):

@@ -22,7 +22,6 @@ from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs import store as results
 from r2h_batch.runs.files import sha256_of
 from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
-from r2h_batch.runs.side import side_writer
 from r2h_batch.runs.writing import RunFolder, open_run
 from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
@@ -311,10 +310,3 @@ def command(name: str, *runs: Path | str, **options: object) -> int:
     """The exit code of a command on run folders; options as the command has them in Python."""
     flags = [[f"--{k.replace('_', '-')}", *([] if v is True else [str(v)])] for k, v in options.items()]
     return main([name, *map(str, runs), *(word for flag in flags for word in flag)])
-
-
-def write_side(path, rows):
-    """A file beside the shards, as a command of ours writes one."""
-    with side_writer(path, rows.schema.remove_metadata()) as writer:
-        writer.write(rows)
-    return path

@@ -7,7 +7,8 @@ import pytest
 from sweep_command import in_process
 
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.stored import Reader
 

@@ -8,7 +8,8 @@ from sweep_command import WITH_HOME, command, in_process
 
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.runs.store import load_run
-from r2h_batch.sweep.results.reevaluation import Judge, reevaluate
+from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.types import Predictions
 

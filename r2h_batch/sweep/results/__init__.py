@@ -1,5 +1,5 @@
 """Stored rows checked, judged again and counted again.
 
-reevaluation.py judges a stored row again: it reads the pose that is stored beside the row, and scores
-it as a sweep does (`judged_tables`, which calls `Evaluator.score`).
+judge.py has the evaluator of a run folder, and questions.py the loop that judges stored poses again with it. What is asked
+of them is a `Question` in a file of its own: reevaluation.py (is each row what a sweep would store?) and reception.py.
 """

@@ -64,7 +64,7 @@ def _strange_side_files(run: "Run") -> list[str]:
     for entry in run.entries:
         for path in side_files(entry):
             try:
-                run.side(entry.name, path.parent.name, path)
+                run.side(entry.name, path.parent.name)
             except RunError as error:
                 what = str(error).removeprefix(f"{path}: ").partition("; take")[0]
                 lines.append(set_aside(Problem(entry.name, None, path, what)))
@@ -123,14 +123,15 @@ def reevaluate(
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import reevaluation as again
+    from r2h_batch.sweep.results.judge import Judge, check_poses
 
     run = load_run(folder, verify=False).only(method)
     names = [e.name for e in run.entries if e.shards]
     if not names:
         raise RunError(f"{folder}: no shard of any method is stored")
-    again.check_poses(run)
+    check_poses(run)
     draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    judge = again.Judge(run, given=benchmark, device=device)
+    judge = Judge(run, given=benchmark, device=device)
     if judge.other:
         print(
             f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared exactly,"
@@ -166,7 +167,8 @@ def reception(
     The command tries 256 receiving grasps for each stored pose; no predictor knows these grasps. The
     person's arm must bring the hand to a grasp, past the gripper and clear of the robot. The success
     rate does not depend on it. Receivers need a body: those of r2h-v2, the default, and of r2h-v1 have one; `--receiver hand`
-    takes it away.
+    takes it away. Each method is written as soon as it is done; the same command again reads what is there of the same rows and
+    code.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
@@ -175,12 +177,11 @@ def reception(
         device: cpu, cuda or cuda:N.
     """
     run = _opened(folder, method, "reception")
-    from r2h_batch.sweep.results import reception as received
+    from r2h_batch.sweep.results.questions import judge_of, kept_answers
+    from r2h_batch.sweep.results.reception import QUESTION, render
 
-    tables = received.tables_of_run(run, benchmark, device)
-    for name, table in tables.items():
-        received.write(folder / "reception" / f"{run.entry(name).slug}.parquet", table)
-    print(received.render(tables), end="")
+    judge, names = judge_of(run, benchmark, device)
+    print(render(kept_answers(QUESTION, run, names, judge)), end="")
     return 0
 
 

@@ -6,42 +6,30 @@ sampled trials again, so its rows cannot hold the poses of another method. A use
 because a folder may come from anybody.
 """
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import torch
-from pydantic import TypeAdapter
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
-from r2h_batch.base.io.progress import progress
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
-from r2h_batch.config import BORDERLINE_M, EvalConfig
-from r2h_batch.evaluate import Evaluator
-from r2h_batch.observe.sees import Sees
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.of_run import benchmark_of_run
-from r2h_batch.runs import provenance
+from r2h_batch.config import BORDERLINE_M
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, schema_of
 from r2h_batch.runs.methods import Entry
-from r2h_batch.runs.plugged import criteria_since
-from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA, TrialNames
+from r2h_batch.runs.rows import DETAIL_SCHEMA, EPISODE_SCHEMA, PATH_SCHEMA, TRIAL_SCHEMA
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.jobs import Job, NotBuiltIn, job_of_run
-from r2h_batch.sweep.scoring import judged_tables
+from r2h_batch.sweep.results.judge import Judge, check_poses
+from r2h_batch.sweep.results.questions import Part, Question, answers
 from r2h_batch.trials.predictions import Motions
-from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import ELSEWHERE, NO_LONGER
-
-if TYPE_CHECKING:
-    from r2h_batch.closed_loop.episodes import Loop
 
 COMPARED = {
     "trials": tuple(name for name in TRIAL_SCHEMA.names if name not in TIMING),
@@ -50,10 +38,6 @@ COMPARED = {
     "episodes": tuple(EPISODE_SCHEMA.names),
 }
 """Columns that are judged again; poses are what they are judged from."""
-
-LATER_OPTIONS = ("receiver", "estimate", "candidates", "execution_error", "object_errors")
-"""Options of `EvalConfig` that older runs do not name, because the option did not exist then. Today's default is what
-those runs did."""
 
 TOLERANCES = {"_m": BORDERLINE_M, "_deg": 0.05, "_s": 0.02, "q": 1e-3, "q_goal": 1e-3}
 """Tolerances of stored numbers on another kind of machine or with other versions, by the end of
@@ -111,134 +95,6 @@ class Reevaluation:
     asked: str
 
 
-class Judge:
-    """The evaluator that a run folder describes; objects and hands must have the run's digests.
-
-    `other` names what has changed since the rows were scored: code, versions, processor. If it is
-    empty, every bit must agree.
-
-    Args:
-        run: what `load_run(FOLDER)` gives.
-        given: where its files are now, if they are not where the sweep found them.
-        device: cpu, cuda or cuda:N.
-    """
-
-    def __init__(self, run: Run, *, given: BenchmarkChoice | None = None, device: str = "cpu"):
-        instance_of(Run, "what load_run(FOLDER) gives")("run", run)
-        optional(instance_of(BenchmarkChoice, "flags of the benchmark"))("given", given)
-        header, where = run.header, run.folder
-        config = configuration(header["configuration"], str(where))
-        self.benchmark = benchmark_of_run(header, given or BenchmarkChoice(), str(where))
-        plans_in = Sees.planning(header)
-        self.evaluator = Evaluator(self.benchmark, config, device=device, plans_in=plans_in)
-        self.other = _other(header, device)
-        self.loop, self.played = _loop_of(header["digests"].get("closed_loop"), run)
-
-    def trials(self, trial_id: Any) -> Trials:
-        """The trials with these ids, on the evaluator's device.
-
-        Args:
-            trial_id: (N,) whole numbers.
-        """
-        ids = torch.from_numpy(np.array(trial_id, np.int64))
-        return self.benchmark.trials_with_ids(ids).to(self.evaluator.scene.device)
-
-    def tables(
-        self, trial_id: Any, T_obj_ee: Any, T_world_ee: Any, motions: Motions | None = None,
-        stored: Sequence[str] = (),
-    ) -> dict[str, pa.Table]:  # fmt: skip
-        """Tables of answered trials, as the sweep stores them: `trials` and the kinds of `stored`.
-
-        Args:
-            trial_id: (N,) whole numbers.
-            T_obj_ee: (N, 4, 4) grasps, metres.
-            T_world_ee: (N, 4, 4) handover poses, metres.
-            motions: motions to judge in place of planned ones.
-            stored: further kinds: details, poses, paths.
-        """
-        scene, trials = self.evaluator.scene, self.trials(trial_id)
-        grasp, handover = (
-            torch.from_numpy(np.array(T, np.float32)).to(scene.device)
-            for T in (T_obj_ee, T_world_ee)
-        )
-        answers = Predictions(trials.trial_id, grasp, handover)
-        every = torch.arange(len(trials), dtype=torch.int64, device="cpu")
-        padded = None if motions is None else motions.padded(every, scene.device)
-        names = TrialNames.of(scene)
-        return judged_tables(self.evaluator, trials, answers, padded, stored, names, self.loop)
-
-
-def _loop_of(identity: Any, run: Run) -> tuple["Loop | None", str]:
-    """The policy that plays the run's episodes again, or the reason why none does."""
-    if "episodes" not in run.header["stored"]:
-        return None, ""
-    if not isinstance(identity, str):
-        raise RunError(f"{run.folder}: run.json does not say how its episodes were played")
-    if "pick" in run.header.get("asks", ()):
-        return (
-            None,
-            "; episodes not played again: they began on the table, and r2h_batch 0.3 played those",
-        )
-    if find_spec("gymnasium") is None:
-        return None, "; episodes not played again: pip install 'r2h_batch[env]'"
-    from r2h_batch.closed_loop.episodes import Loop
-
-    try:
-        return Loop.of(identity), "; episodes played again"
-    except ValueError as error:
-        return None, f"; episodes not played again: {error}"
-
-
-def configuration(data: Mapping[str, Any], where: str) -> EvalConfig:
-    """The `EvalConfig` of a run.json; `RunError` where this version has other fields, or one is out
-    of bounds.
-
-    Args:
-        data: the entry `configuration`.
-        where: the folder, for the error.
-    """
-    kind = TypeAdapter(EvalConfig)
-    try:
-        config = kind.validate_json(json.dumps(data), strict=True)
-    except ValueError as error:  # pydantic's ValidationError is one
-        what = " ".join(str(error).split())[:200]
-        words = f"its configuration cannot be judged by this version ({what})"
-        raise RunError(f"{where}: {words}") from None
-    again, now = (json.loads(kind.dump_json(c)) for c in (config, EvalConfig()))
-    older: dict[str, Any] = json.loads(json.dumps(data))
-    if isinstance(older.get("plan"), dict):  # options that came later say what there was before
-        older["plan"] = {"hand": now["plan"]["hand"], **older["plan"]}
-    older = {k: now[k] for k in LATER_OPTIONS} | older
-    if again != older:
-        odd = [k for k in {**again, **older} if again.get(k) != older.get(k)]
-        raise RunError(f"{where}: its configuration is of another version: {', '.join(odd)[:200]}")
-    return config
-
-
-def _other(header: Mapping[str, Any], device: str) -> tuple[str, ...]:
-    """All that could move a last bit: the digest of the code, versions, the kind of processor."""
-    criteria = criteria_since(header)
-    same_code = header["digests"].get("code") == provenance.code_digest() and not criteria
-    other = [] if same_code else ["code", *criteria]
-    installed = provenance.versions()
-    other += [k for k, v in header["versions"].items() if k != "python" and installed.get(k) != v]
-    device_name = provenance.device_name(device)
-    # "cpu: MODEL, N cores"
-    same = device_name.rpartition(",")[0] == str(header["device"]["name"]).rpartition(",")[0]
-    return (*other, *([] if same else ["processor"]))
-
-
-def check_poses(run: Run) -> None:
-    """`RunError` if the run holds no poses.
-
-    Args:
-        run: what `load_run(FOLDER)` gives.
-    """
-    if "poses" not in run.header["stored"]:
-        words = "stored without poses; sweep again without no_poses into another --out"
-        raise RunError(f"{run.folder}: {words}")
-
-
 @check_arguments(
     run=instance_of(Run, "what load_run(FOLDER) gives"),
     method=text,
@@ -263,33 +119,25 @@ def reevaluate(
     """
     check_poses(run)
     entry = run.entry(method)
-    sizes = {i: s.shard.last - s.shard.first for i, s in sorted(entry.shards.items())}
-    ends = np.cumsum([0, *sizes.values()])
-    total = int(ends[-1])
+    total = sum(s.shard.last - s.shard.first for s in entry.shards.values())
     chosen = np.sort(np.random.default_rng(seed).choice(total, min(n, total), replace=False))
     job, asked = _who_answers(run, entry, judge)
     LOG.info(f"{method}: judging {len(chosen)} of {total} rows again")
     differences: list[Difference] = []
     unequal: set[int] = set()
-    with progress(f"{method}: judging again", len(chosen), "rows") as told:
-        for place, index in enumerate(sizes):
-            rows = chosen[(chosen >= ends[place]) & (chosen < ends[place + 1])] - ends[place]
-            if not len(rows):
-                continue
-            files = entry.shards[index].kinds
-            kinds: list[str] = [k for k in ("trials", "poses", "details", "paths") if k in files]
-            kinds += ["episodes"] if judge.loop is not None and "episodes" in files else []
-            stored = {kind: run.shard(kind, method, index) for kind in kinds}
-            ids = stored["trials"]["trial_id"].take(pa.array(rows))
-            stored = {
-                k: table.filter(pc.is_in(table["trial_id"], ids)) for k, table in stored.items()
-            }
-            if job is not None:
-                other, moved = _differing_answers(job, ids.to_numpy(), stored["poses"], judge)
-                differences, unequal = differences + other, unequal | moved
-            as_motions = entry.source.get("kind") == "motions"
-            differences += _differing_rows(run, stored, as_motions, judge)
-            told(len(rows))
+    kinds = (
+        "trials",
+        "poses",
+        "details",
+        "paths",
+        *(["episodes"] if judge.loop is not None else []),
+    )
+    question = Question("reevaluate", None, 1, partial(_differing, job=job))
+    for found, moved in answers(
+        question, run, method, judge, kinds=kinds, positions=chosen, at_once=max(total, 1)
+    ):
+        differences += found
+        unequal |= moved
     unequal |= {d.trial_id for d in differences}
     if judge.other:
         differences = [d for d in differences if not _close(d)]
@@ -299,6 +147,15 @@ def reevaluate(
     counts = (total, len(chosen), len(chosen) - len(unequal))
     asked += judge.played
     return Reevaluation(method, *counts, tuple(differences), asked)
+
+
+def _differing(judge: Judge, part: Part, *, job: Job | None) -> tuple[list[Difference], set[int]]:
+    """What differs of a part, and the ids of trials that the method answers with other bits now."""
+    differences: list[Difference] = []
+    moved: set[int] = set()
+    if job is not None:
+        differences, moved = _differing_answers(job, part, judge)
+    return [*differences, *_differing_rows(part, judge)], moved
 
 
 def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]:
@@ -317,11 +174,10 @@ def _who_answers(run: Run, entry: Entry, judge: Judge) -> tuple[Job | None, str]
     return job, "asked again for the same trials"
 
 
-def _differing_answers(
-    job: Job, ids: np.ndarray, poses: pa.Table, judge: Judge
-) -> tuple[list[Difference], set[int]]:
+def _differing_answers(job: Job, part: Part, judge: Judge) -> tuple[list[Difference], set[int]]:
     """The trials to which the method now gives another answer than the stored one, and the ids of those
     whose answers do not have the same bits."""
+    ids, poses = part.trial_id, part.tables["poses"]
     again = job.predict(judge.trials(ids), None).to("cpu")
     place = {int(trial_id): i for i, trial_id in enumerate(ids)}
     rows = [place[i] for i in poses["trial_id"].to_pylist()]
@@ -343,11 +199,11 @@ def _differing_answers(
     return found, set(ids[off > 0.0].tolist())
 
 
-def _differing_rows(
-    run: Run, stored: Mapping[str, pa.Table], as_motions: bool, judge: Judge
-) -> Iterator[Difference]:
-    """Every stored value that the evaluator does not give again bit for bit; `as_motions`: the method is a
-    file of motions. Rows without `t_plan_s` were judged as given motions."""
+def _differing_rows(part: Part, judge: Judge) -> Iterator[Difference]:
+    """Every stored value that the evaluator does not give again bit for bit. Of a file of motions, rows without `t_plan_s` were
+    judged as given motions."""
+    run, stored = part.run, part.tables
+    as_motions = part.entry.source.get("kind") == "motions"
     compared = _compared(run)
     again: dict[str, dict[int, dict[str, Any]]] = {kind: {} for kind in compared}
     if as_motions and "paths" not in stored:
@@ -359,11 +215,11 @@ def _differing_rows(
         paths = stored["paths"].filter(pc.is_in(stored["paths"]["trial_id"], unplanned))
         moved = pc.is_in(poses["trial_id"], paths["trial_id"])
         groups = [(poses.filter(pc.invert(moved)), None), (poses.filter(moved), _motions(paths))]
-    for part, motions in groups:
-        if not len(part):
+    for answered, motions in groups:
+        if not len(answered):
             continue
-        grasp, handover = (_matrices(part[k]) for k in ("T_obj_ee", "T_world_ee"))
-        ids = part["trial_id"].to_numpy()
+        grasp, handover = (_matrices(answered[k]) for k in ("T_obj_ee", "T_world_ee"))
+        ids = answered["trial_id"].to_numpy()
         tables = judge.tables(ids, grasp, handover, motions, tuple(stored))
         for kind in again.keys() & tables.keys():
             again[kind] |= _by_id(tables[kind], compared[kind])

@@ -57,6 +57,26 @@ def test_every_stored_pose_has_a_row_and_the_funnel_counts_them(run, capsys):
     assert main(["results", "verify", str(run)]) == 0
 
 
+def test_what_is_stored_is_printed_again_and_a_damaged_file_is_one_line(run, tmp_path, capsys):
+    assert main(["results", "reception", str(run)]) == 0
+    shown, copy = capsys.readouterr().out, tmp_path / "run"
+    shutil.copytree(run, copy)
+    (first, second) = sorted((copy / "reception").iterdir())
+    second.unlink()  # as if the command had ended between two methods
+    before = first.stat().st_ino
+    assert main(["results", "reception", str(copy)]) == 0
+    assert capsys.readouterr().out == shown and second.exists() and first.stat().st_ino == before
+    page = pq.read_metadata(first).row_group(0).column(SCHEMA.names.index("known"))
+    for damage in (lambda d: d[: len(d) // 2], lambda d: d[: (k := page.data_page_offset + 20)] + b"xx" + d[k + 2 :]):
+        good = first.read_bytes()
+        first.write_bytes(damage(good))
+        assert main(["results", "reception", str(copy)]) == 2
+        said = capsys.readouterr()
+        assert said.out == "" and str(first) in said.err and "Traceback" not in said.err
+        assert said.err.strip().count("\n") == said.err.count("has these rows")
+        first.write_bytes(good)
+
+
 def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_there(run, tmp_path, capsys):
     copy, victim = tmp_path / "run", tmp_path / "victim"
     shutil.copytree(run, copy, ignore=shutil.ignore_patterns("reception"))

@@ -20,7 +20,8 @@ from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results import reevaluation as again
-from r2h_batch.sweep.results.reevaluation import Judge, configuration, reevaluate
+from r2h_batch.sweep.results.judge import Judge, configuration
+from r2h_batch.sweep.results.reevaluation import reevaluate
 
 FROZEN = Path(__file__).resolve().parents[2] / "frozen"
 LINE = [
