@@ -4,6 +4,7 @@ import hashlib
 import io
 import tokenize
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,6 +28,12 @@ def code_of(text: str) -> str:
     return "\n".join(line.rstrip() for line in lines if line.strip())
 
 
+@lru_cache(maxsize=None)
+def _digest(path: Path, changed_ns: int, size: int) -> str:
+    data = code_of(path.read_text("utf-8")).encode() if path.suffix == ".py" else path.read_bytes()
+    return hashlib.sha256(data).hexdigest()[:8]
+
+
 def digests(places: Iterable[str], root: Path = ROOT) -> dict[str, str]:
     """Path (from `root`) -> the first 8 digits of its sha256, for each file of these files and folders.
 
@@ -42,6 +49,6 @@ def digests(places: Iterable[str], root: Path = ROOT) -> dict[str, str]:
             )
         for path in sorted(at.rglob("*")) if at.is_dir() else [at]:
             if path.suffix in KINDS and path.is_file():
-                data = code_of(path.read_text("utf-8")).encode() if path.suffix == ".py" else path.read_bytes()
-                found[path.relative_to(root).as_posix()] = hashlib.sha256(data).hexdigest()[:8]
+                stat = path.stat()
+                found[path.relative_to(root).as_posix()] = _digest(path, stat.st_mtime_ns, stat.st_size)
     return found

@@ -1,7 +1,8 @@
-"""The table "Where do I change" of CONTRIBUTING, done as a user would in copies of the tree: each change touches two files
-of the package at most, shipped rows are read as before, and runs are compared with them."""
+"""The table "Where do I change" of CONTRIBUTING, done as a user would in copies of the tree: a criterion in files of ours, and all that
+a package of a stranger adds. Shipped rows are read as before, and runs are compared with them."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -184,6 +185,7 @@ def upright(e):
 '''
 USE_UPRIGHT = """
 import json
+import shutil
 from pathlib import Path
 import numpy as np
 import torch
@@ -286,23 +288,6 @@ assert expected.abs().max() > 0.03 and (along - expected).abs().median() < 1e-3,
 """
 
 
-def test_a_strangers_criterion_in_degrees_for_objects_with_an_opening_needs_no_file_of_ours(
-    tmp_path: Path, shipped: str
-) -> None:
-    tree = changed_tree(
-        tmp_path / "tree",
-        {},
-        package={"tilted/__init__.py": "", "tilted/words.py": WORDS, "tilted/equation.py": EQUATION},
-        points={"criterion.upright": "tilted.words:UPRIGHT"},
-    )
-    report(tree)
-    tree.write_docs()
-    assert "`margin_upright_deg` | float32 | deg" in (tree.folder / "docs" / "run_folder.md").read_text()
-    assert tree.run(READ + "\nassert 'torch' not in sys.modules\nsys.exit()") == shipped
-    tree.run(READ + USE_UPRIGHT)
-    tree.passes(*OF_A_CRITERION[:2], *OF_A_COLUMN)
-
-
 SLOW = '''"""How often an arm takes its time."""
 
 import pyarrow.compute as pc
@@ -350,14 +335,6 @@ both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
 assert all("slow" in own for own in both.values()) and len(both) == 6 or len(both) == 7, both.keys()
 assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared trials alone
 """
-
-
-def test_a_strangers_share_of_rows_is_in_tables_pages_latex_and_comparisons(tmp_path: Path, shipped: str) -> None:
-    tree = changed_tree(tmp_path / "tree", {}, package={"slow.py": SLOW}, points={"share.slow": "slow:SLOW"})
-    report(tree)
-    assert tree.run(READ) == shipped
-    tree.run(READ + USE_SLOW)
-    tree.passes(*OF_A_COLUMN)
 
 
 VASE = '''"""Vases: nothing of ours has one."""
@@ -414,71 +391,6 @@ code, line = swept("families:flower_vase x 2", "none")
 assert code == 2 and "did you mean vase?" in line
 said("results reevaluate run")  # an installed package is the reader's own
 """
-NAMED_VASE = """
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.of_run import benchmark_of_run
-from r2h_batch.base.errors import FileError
-
-try:  # run.json may come from anybody: the module that it names is not imported
-    benchmark_of_run(load_run("run").header, BenchmarkChoice(), "run")
-except FileError as error:
-    assert "give what its sweep was given: --objects 'families:vases:VASE x 2 seed 3'" in str(error), error
-else:
-    raise AssertionError("a module that run.json names was imported")
-"""
-
-
-def test_a_strangers_family_is_drawn_listed_swept_and_judged_again_without_a_file_of_ours(
-    tmp_path: Path, shipped: str
-) -> None:
-    tree = changed_tree(tmp_path / "tree", {}, package={"vases.py": VASE}, points={"family.vase": "vases:VASE"})
-    report(tree)
-    assert tree.run(READ) == shipped
-    tree.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
-    assert list(plugins_of(tree)) == ["family.vase"] and plugins_of(tree)["family.vase"]["package"] == "strange"
-
-
-def plugins_of(tree: Tree) -> dict[str, dict[str, str]]:
-    """Additions of other packages that run.json of the tree's run names."""
-    return json.loads((tree.folder / "run" / "run.json").read_text()).get("plugins", {})
-
-
-def test_a_family_may_also_stand_in_a_module_of_the_user_or_in_one_file_of_ours(tmp_path: Path) -> None:
-    own = changed_tree(tmp_path / "own", {}, package={"vases.py": VASE})
-    own.run(f"{READ}\nFAMILY = 'vases:VASE'\n{USE_VASE}{NAMED_VASE}")
-    assert plugins_of(own)["family.vase"]["module"] == "vases"
-    ours = changed_tree(tmp_path / "ours", {"r2h_batch/scene/families/vases.py": VASE})
-    report(ours)
-    assert len(ours.changed) == 1
-    ours.run(f"{READ}\nFAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}")
-    assert not plugins_of(ours)
-
-
-NEAR = '''"""Benchmark r2h-near: children whose hands are 5 cm lower than they would hold them."""
-
-from dataclasses import replace
-
-from r2h_batch.data.people import built_in_people
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.draw.reaching import place_reaching
-from r2h_batch.protocols.draw.rule import Batch, Placed, Rule
-from r2h_batch.protocols.registry import BENCHMARK, named_benchmark
-
-
-def place_lower(batch: Batch) -> Placed:
-    """As people reach, 5 cm lower."""
-    placed = place_reaching(batch)
-    placed.T_world_hand[:, 2, 3] -= 0.05
-    return placed
-
-
-@BENCHMARK("r2h-near")
-def r2h_near() -> Benchmark:
-    """16 objects, children."""
-    rule = Rule("r2h-near", place_lower, bodies=True)
-    base = replace(named_benchmark("r2h-v1"), rule=rule, name="r2h-near")
-    return base.with_people(built_in_people("children"))
-'''
 STRANGE = """from dataclasses import replace
 
 from r2h_batch import load_benchmark
@@ -500,179 +412,30 @@ said(f"sweep --benchmark {NAME} --method random --trials 6 --sim none --out run"
 assert load_run("run").header["digests"]["benchmark"] == near.digest
 said("results reevaluate run")
 """
-USE_OURS = """
-assert trials.person is not None and float(trials.person[:, 0].max()) < 13 and "r2h-near: children, lower" in said_help()
-other = load_benchmark("r2h-v1").with_people(near.people).trials_with_ids(ids)
-assert not torch.equal(trials.T_world_hand, other.T_world_hand)
-open("benchmark.yaml", "w").write("protocol: r2h-near\\n")
-said("sweep --benchmark benchmark.yaml --method random --trials 6 --sim none --out same")
-assert load_run("same").digest("random") == load_run("run").digest("random")
-said("sweep --benchmark r2h-v1 --method random --trials 6 --sim none --out usual")
-assert "random" in said("compare usual baselines --method random oracle")
-"""
-SAID_HELP = """
-def said_help():
-    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
-        main(["sweep", "--help-all"])
-    return " ".join(out.getvalue().split())
-
-"""
 
 
-def test_a_protocol_with_other_people_is_a_file_and_an_entry(tmp_path: Path, shipped: str) -> None:
-    entry = 'RELEASE = "r2h-release"\nPROTOCOLS = (\n'
+def test_a_strangers_package_adds_a_criterion_a_share_a_family_and_a_protocol_without_a_file_of_ours(
+    tmp_path: Path, shipped: str
+) -> None:
+    words = {"tilted/__init__.py": "", "tilted/words.py": WORDS, "tilted/equation.py": EQUATION}
     tree = changed_tree(
         tmp_path / "tree",
-        {
-            "r2h_batch/base/registry.py": {
-                entry: entry + '    Protocol("r2h-near", "children, lower", "children whose hands are 5 cm lower"),\n',
-            },
-            "r2h_batch/protocols/r2h_near.py": NEAR,
-        },
-    )
-    report(tree)
-    assert tree.run(READ) == shipped
-    tree.run(SAID_HELP + READ + "\nNAME = 'r2h-near'\n" + USE_NEAR + USE_OURS)
-
-
-def test_a_strangers_protocol_needs_no_file_of_ours(tmp_path: Path, shipped: str) -> None:
-    tree = changed_tree(
-        tmp_path / "tree", {}, package={"strange_task.py": STRANGE}, points={"benchmark.near": "strange_task:near"}
-    )
-    report(tree)
-    assert tree.run(READ) == shipped
-    tree.run(READ + "\nNAME = 'near'\n" + USE_NEAR)
-
-
-USE_POLICY = """
-said("sweep --benchmark r2h-v1 --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy half --out run")
-run = load_run("run")
-half = run.episodes(run.methods[0]).to_pylist()
-said("sweep --benchmark r2h-v1 --method oracle --trials 2 --splits S0 --sim none --receiver-motion still --policy planned"
-     " --out planned")
-run = load_run("planned")
-whole = run.episodes(run.methods[0]).to_pylist()
-pairs = [(a["time_s"], b["time_s"]) for a, b in zip(half, whole) if a["end"] == b["end"] == "success"]
-assert pairs and all(1.5 * b < a < 2.5 * b for a, b in pairs), pairs
-said("results reevaluate run")
-said("sweep --benchmark r2h-v1 --method oracle --trials 6 --sim none --out usual")
-assert "oracle" in said("compare usual baselines").lower()
-"""
-
-
-def test_a_policy_is_one_class_under_its_name(tmp_path: Path, shipped: str) -> None:
-    pytest.importorskip("gymnasium")
-    tree = changed_tree(
-        tmp_path / "tree",
-        {
-            "r2h_batch/closed_loop/policies.py": {
-                "def kind_of_action(": '@POLICIES("half")\nclass HalfSpeed(Planned):\n'
-                '    """The planned motion at half its speed."""\n\n'
-                '    def __call__(self, observation: Observation) -> Float32[Tensor, "b j"]:\n'
-                "        self.clock = self.clock + 0.5 * self.step_s\n        return self.posture(self.clock)\n\n\n"
-                "def kind_of_action("
-            }
-        },
-    )
-    report(tree)
-    assert len(tree.changed) == 1 and tree.run(READ) == shipped
-    tree.run(READ + USE_POLICY)
-
-
-USE_COLUMN = """
-import numpy as np
-
-said("sweep --benchmark r2h-v1 --method oracle --trials 6 --sim none --save-paths --out run")
-run = load_run("run")
-method = run.methods[0]
-travel = dict(zip(run.trials(method)["trial_id"].to_pylist(), run.trials(method)["travel_rad"].to_pylist()))
-paths = run.paths(method).to_pylist()
-assert paths and all(travel[i] is None for i in travel if i not in {p["trial_id"] for p in paths})
-for path in paths:
-    q = np.array(path["q"])
-    assert abs(np.abs(np.diff(q, axis=0)).sum() - travel[path["trial_id"]]) < 1e-4
-said("results reevaluate run")
-assert shipped.trials(shipped.methods[0])["travel_rad"].null_count == 1000 and later("trials")["travel_rad"] == "0.3.0"
-assert "oracle" in said("compare run baselines").lower() and "oracle" in said(f"report {FOLDERS[0]}").lower()
-"""
-
-
-def test_a_stored_column_is_an_entry_and_a_property_and_null_in_older_rows(tmp_path: Path, shipped: str) -> None:
-    tree = changed_tree(
-        tmp_path / "tree",
-        {
-            "r2h_batch/types.py": {
-                "    @property\n    def inputs(self) -> ScoreInputs | None:": "    @property\n"
-                '    def travel_rad(self) -> Float32[Tensor, " b"]:\n'
-                '        """How far all joints turn along the path together, rad; NaN without a path."""\n'
-                "        turns = (self.path[:, 1:] - self.path[:, :-1]).abs().sum(2)\n"
-                "        slot = torch.arange(turns.shape[1], dtype=torch.int32, device=turns.device)\n"
-                "        far = torch.where(slot < self.path_len[:, None] - 1, turns, 0.0).sum(1)\n"
-                "        return torch.where(self.path_len > 0, far, torch.nan)\n\n"
-                "    @property\n    def inputs(self) -> ScoreInputs | None:",
-            },
-            "r2h_batch/runs/columns.py": {
-                "\n\nDETAILS = (\n": "\n\nDETAILS = (\n",
-                '    Column("t_plan_s", FLOAT': '    Column("travel_rad", FLOAT, "how far all joints turn along the path", "rad",'
-                ' since="0.3.0"),\n    Column("t_plan_s", FLOAT',
-            },
+        {},
+        package={**words, "slow.py": SLOW, "vases.py": VASE, "strange_task.py": STRANGE},
+        points={
+            "criterion.upright": "tilted.words:UPRIGHT",
+            "share.slow": "slow:SLOW",
+            "family.vase": "vases:VASE",
+            "benchmark.near": "strange_task:near",
         },
     )
     report(tree)
     tree.write_docs()
-    assert "`travel_rad` | float32 | rad" in (tree.folder / "docs" / "run_folder.md").read_text()
-    assert tree.run(READ) == shipped
-    tree.run(READ + USE_COLUMN)
-    tree.passes(*OF_A_COLUMN)
-
-
-ENGINE = '''"""Motion in MuJoCo C by Runge and Kutta: the engine mujoco with another integrator."""
-
-import copy
-from dataclasses import replace
-
-import mujoco
-
-from r2h_batch.judge.motion import sim_mujoco
-from r2h_batch.judge.motion.simulation import Job, Samples
-
-ON_CPU = True
-
-
-def simulate(job: Job) -> Samples:
-    """The recorded motion of the job's trials."""
-    scene = copy.copy(job.scene)
-    model = copy.copy(job.scene.model)
-    model.opt.integrator = mujoco.mjtIntegrator.mjINT_RK4
-    scene.model = model
-    return sim_mujoco.simulate(replace(job, scene=scene))
-'''
-USE_ENGINE = """
-import numpy as np
-
-line = "sweep --benchmark r2h-v1 --method oracle --trials 4 --splits S0 --save-paths"
-said(f"{line} --sim rk4 --out run")
-run = load_run("run")
-assert run.header["motion"]["engine"] == "rk4" and run.header["versions"]["mujoco"][0].isdigit()
-said("results reevaluate run")
-said(f"{line} --sim mujoco --out usual")
-method = run.methods[0]
-ours, theirs = (load_run(folder).paths(method)["executed_q"].to_pylist() for folder in ("run", "usual"))
-most = max(np.abs(np.subtract(a, b)).max() for a, b in zip(ours, theirs, strict=True) if len(a) == len(b))
-assert 0 < most < 1e-3, most
-assert "oracle" in said("compare usual baselines").lower()
-"""
-
-
-def test_an_engine_is_a_file_and_an_entry(tmp_path: Path, shipped: str) -> None:
-    tree = changed_tree(
-        tmp_path / "tree",
-        {
-            "r2h_batch/base/registry.py": {'    Engine("mujoco", ("mujoco",)),\n': '    Engine("mujoco", ("mujoco",)),\n'
-                                      '    Engine("rk4", ("mujoco",)),\n'},
-            "r2h_batch/judge/motion/sim_rk4.py": ENGINE,
-        },
-    )  # fmt: skip
-    report(tree)
-    assert tree.run(READ) == shipped
-    tree.run(READ + USE_ENGINE)
+    assert "`margin_upright_deg` | float32 | deg" in (tree.folder / "docs" / "run_folder.md").read_text()
+    assert tree.run(READ + "\nassert 'torch' not in sys.modules\nsys.exit()") == shipped
+    for use in (USE_UPRIGHT, USE_SLOW, f"FAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}", f"NAME = 'near'\n{USE_NEAR}"):
+        tree.run(f"{READ}\n{use}")
+        named = json.loads((tree.folder / "run" / "run.json").read_text())["plugins"]
+        assert named["criterion.upright"]["package"] == "strange" and ("family.vase" in named) == ("FAMILY" in use)
+        shutil.rmtree(tree.folder / "run")
+    tree.passes(*OF_A_CRITERION[:2], *OF_A_COLUMN)

@@ -48,7 +48,7 @@ from r2h_batch.verdicts import (
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 N = 8
-LINE = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "6", "--sim", "none", "--save-paths"]
+LINE = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "4", "--sim", "none", "--save-paths"]
 
 
 @pytest.fixture(scope="module")
@@ -207,7 +207,7 @@ def test_other_code_judges_the_rows_with_their_carry_again(folder):
         rows = rows_of(run, name)
         trials = judge.trials(np.array(list(rows)))
         rest = moments(judge.evaluator.scene, trials)
-        kept = [k for k, row in enumerate(rows.values()) if row.get("q")][:3] + [0]
+        kept = [k for k, row in enumerate(rows.values()) if row.get("q")][:2] + [0]
         for k, row in each([(k, list(rows.values())[k]) for k in kept]):
             scene, config = judge.evaluator.scene, judge.evaluator.config
             twin = Again(
@@ -216,7 +216,7 @@ def test_other_code_judges_the_rows_with_their_carry_again(folder):
             wrong = [f for f in twin.findings() if not f.holds]
             assert not wrong, (name, row["trial_id"], wrong)
             carried += len(twin.q) > 0
-    assert carried >= 3
+    assert carried >= 2
 
 
 @pytest.mark.check
@@ -339,8 +339,8 @@ def test_a_sweep_until_present_says_so_and_lacks_the_columns(folder):
     names = set(run.trials(run.methods[0]).column_names)
     assert "passed_pick" in names and not {"passed_received", "received_reason"} & names
     assert benchmark_of_run(run.header, BenchmarkChoice(), "x").asks == ("pick",)
-    again = reevaluate(run, run.methods[0], 12, Judge(run))
-    assert again.equal == 12 and not again.differences
+    again = reevaluate(run, run.methods[0], 8, Judge(run))
+    assert again.equal == 8 and not again.differences
     assert "F_recv" not in render(table_of(run), "md")
 
 
@@ -456,8 +456,8 @@ def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thre
         for row in table.to_pylist():
             assert (row["pick_reason"] == "ok") == row["passed_pick"]
             assert row["outcome"] != "pick" or not row["passed_pick"]
-    again = reevaluate(whole, whole.methods[0], 12, Judge(whole))
-    assert again.equal == 12 and not again.differences
+    again = reevaluate(whole, whole.methods[0], 8, Judge(whole))
+    assert again.equal == 8 and not again.differences
     given = benchmark_of_run(whole.header, BenchmarkChoice(), "x")
     assert given.digest == load_benchmark("r2h-v3-draft").digest
 

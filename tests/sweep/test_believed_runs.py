@@ -20,7 +20,7 @@ from r2h_batch.view.captions import title
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
-LINE = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "learned", "--trials", "8", "--sim", "none"]
+LINE = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "learned", "--trials", "4", "--sim", "none"]
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def rows(folder):
 
 def test_rows_are_the_same_in_shards_chunks_threads_and_when_a_run_goes_on(runs):
     a, b = (rows(runs / name) for name in ("one", "five"))
-    assert len(a) == 16 and str(a) == str(b)
+    assert len(a) == 8 and str(a) == str(b)
     lost = next((runs / "five" / "shards").rglob("*.parquet"))
     lost.unlink()
     assert load_run(runs / "five").unfinished
@@ -74,10 +74,10 @@ def test_a_run_says_that_its_arms_were_planned_by_what_was_seen(runs):
 
 
 def test_every_row_is_judged_again_bit_for_bit_and_its_method_asked_again(runs, capsys):
-    assert main(["results", "reevaluate", str(runs / "one"), "--rows", "16"]) == 0
+    assert main(["results", "reevaluate", str(runs / "one"), "--rows", "8"]) == 0
     assert (
-        "16 of 16 rows judged again" in (out := capsys.readouterr().out)
-        and "none differs, 16 are equal bit for bit" in out
+        "8 of 8 rows judged again" in (out := capsys.readouterr().out)
+        and "none differs, 8 are equal bit for bit" in out
     )
     assert "asked again for the same trials" in out
 
