@@ -4,7 +4,7 @@ import hashlib
 import io
 import tokenize
 from collections.abc import Iterable
-from functools import lru_cache
+from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,7 +28,7 @@ def code_of(text: str) -> str:
     return "\n".join(line.rstrip() for line in lines if line.strip())
 
 
-@lru_cache(maxsize=None)
+@cache
 def _digest(path: Path, changed_ns: int, size: int) -> str:
     data = code_of(path.read_text("utf-8")).encode() if path.suffix == ".py" else path.read_bytes()
     return hashlib.sha256(data).hexdigest()[:8]

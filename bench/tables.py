@@ -17,7 +17,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     docs/results/sources.md                       which rows, or which command, are behind each figure
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
 
-tests/test_published.py holds all of this to the present code.
+tests/test_figures.py and tests/test_published.py hold all of this to the present code.
 """
 
 import argparse

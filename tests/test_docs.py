@@ -35,18 +35,6 @@ def test_the_reference_explains_every_field(kind):
     assert named == [f.name for f in dataclasses.fields(kind) if not f.name.startswith("_")]
 
 
-def test_pages_write_an_extra_in_one_form():
-    """That of a clone, in tested versions; the page of the installation says once what users of the wheel write."""
-    pages = [ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]
-    lines = [
-        f"{p.name}: {line}"
-        for p in pages
-        for line in re.findall(r"pip install[^`\n]*\[[a-z,]+\]'?", p.read_text("utf-8"))
-    ]
-    other = [line for line in lines if not re.search(r": pip install -c constraints\.txt -e '\.\[[a-z,]+\]'$", line)]
-    assert len(lines) > 10 and other == ["README.md: pip install 'r2h_batch[view]'"]
-
-
 @needs("chromium")
 def test_a_wide_table_of_the_site_scrolls_in_a_narrow_window_and_its_rows_stay_low(tmp_path):
     """Material puts every table into such boxes."""

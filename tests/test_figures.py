@@ -1,5 +1,7 @@
-"""Figures of the pages are those of committed JSON, measured in one go by (nearly) the present code (bench/figures.py)."""
+"""Figures and tables of the pages are those of committed JSON, the JSON are those of the rows beside them, and all were
+measured in one go by (nearly) the present code (bench/figures.py)."""
 
+import importlib
 import json
 import re
 import sys
@@ -11,6 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 from rounds import each
 
+from r2h_batch.report.table import record, table_of
 from r2h_batch.runs.store import load_run
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -56,16 +59,45 @@ def test_every_json_says_where_it_comes_from(measured):
     assert {n: k for n, m in measured.items() if (k := m.data.get("changed_files"))} == {}
 
 
-def test_every_figure_of_a_page_is_the_one_of_its_json(figures, measured):
-    values, blocks = figures.all_values(measured.values()), 0
+def by_blocks(figures, measured):
+    """(page, its text with the figures of the JSON) of pages that persons write."""
+    values = figures.all_values(measured.values())
     for page in figures.pages():
         text = page.read_text("utf-8")
-        blocks += len(figures.BLOCK.findall(text))
-        assert text.count("<!-- figures") == len(figures.BLOCK.findall(text)), (
-            f"{page}: a block of figures is not closed"
-        )
-        assert text == figures.rendered(text, values), f"{page}: python bench/figures.py --write writes it again"
-    assert blocks > 8
+        closed = len(figures.BLOCK.findall(text))
+        assert text.count("<!-- figures") == closed, f"{page}: a block of figures is not closed"
+        if closed:
+            yield page, figures.rendered(text, values)
+
+
+def by_benches():
+    """(page, its text) of pages that a bench writes from its JSON; bench/tables.py writes some of them too."""
+    for path in sorted((ROOT / "bench").glob("*.py")):
+        text, stored = path.read_text("utf-8"), ROOT / "bench" / "results" / f"{path.stem}.json"
+        if path.name != "_report.py" and "page_from(parser" in text and stored.exists():
+            (page,) = re.findall(r'PAGE =.*?"docs" / "results" / "([\w-]+\.md)"', text)
+            module = importlib.import_module(path.stem)
+            yield ROOT / "docs" / "results" / page, module.markdown(json.loads(stored.read_text("utf-8")))
+
+
+def by_tables():
+    """(page or file, its text) of what bench/tables.py writes from the rows of Table I and from JSON."""
+    tables = importlib.import_module("tables")
+    return ((ROOT / path, text) for path, text in tables.render_all().items())
+
+
+def test_figures_and_tables_of_every_page_are_those_of_their_json(figures, measured):
+    written = set()
+    for command, pages in (
+        ("figures.py --write", by_blocks(figures, measured)),
+        ("NAME.py --render", by_benches()),
+        ("tables.py --render", by_tables()),
+    ):
+        for page, text in each(pages, 8):
+            written.add(page)
+            assert page.read_text("utf-8") == text, f"{page}: python bench/{command} writes it again"
+    results = {*(ROOT / "docs" / "results").glob("*.md")}
+    assert results - written == {ROOT / "docs" / "results" / "scans.md"}  # tests/test_scans.py
 
 
 def test_every_json_that_a_page_cites_is_here_and_every_json_is_cited(figures, measured):
@@ -154,6 +186,49 @@ def test_the_rates_of_the_networks_are_those_of_their_stored_rows(measured):
     shown = [e.name for e in load_run(ROOT / "bench" / "options" / "networks").entries]
     assert ["VoxNet" in name for name in shown] == ["trees" not in name for name in shown] == [True, False]
     assert 0.5 < values["networks.other_categories.region_auc"] < values["networks.all_categories.region_auc"]
+
+
+@pytest.mark.parametrize("name", ["robots", "robustness"])
+def test_the_rates_of_a_page_are_those_of_its_rows(name):
+    data = json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text("utf-8"))
+    folders = [p for p in (ROOT / "bench" / "options" / name).iterdir() if p.is_dir()]
+    by_size = sorted(p.name for p in folders) if name == "robots" else sorted((p.name for p in folders), key=size_of)
+    for folder in each(folders):
+        rows = {r.method.partition(" (")[0]: record(r) for r in table_of(load_run(folder)).rows if r.split == "Avg"}
+        assert len(rows) == 6
+        for method, row in rows.items():
+            assert row["n"] == 2 * data["trials"]
+            if name == "robots":
+                stored = data["robots"][folder.name]["table"][method]
+                assert {k: stored[k] for k in row} == row
+            else:
+                (curve,) = [c for c in data["curves"] if c["method"].partition(" (")[0] == method]
+                level = by_size.index(folder.name)
+                assert row["sr"] == pytest.approx(curve["sr"][level]["percent"])
+                assert data["rates"][method][level].startswith(f"{row['sr']:.1f} [")
+
+
+def size_of(name):
+    """Millimetres that a folder is named after."""
+    return int(name.partition("mm")[0])
+
+
+def test_rates_of_table_one_are_counted_in_the_rows_that_ship(figures):
+    families = importlib.import_module("families")
+    stored = json.loads((ROOT / "bench" / "results" / "families.json").read_text("utf-8"))
+    found = json.loads(json.dumps(families.of_rows(families.SHIPPED)))
+    for now, then in each(zip(found["table"]["rows"], stored["table"]["rows"], strict=True)):
+        assert {k: v for k, v in now.items() if not k.startswith("t_")} == {
+            k: v for k, v in then.items() if not k.startswith("t_")
+        }
+    for part in each(("compared", "oracle", "spreads")):
+        assert found[part] == stored[part], "python bench/families.py --counted"
+    (whole,) = (c for c in stored["compared"] if c["group"] == "all")
+    for pair in each(whole["pairs"]):
+        own = stored["spreads"]["pairs"][f"{families.short(pair['a'])} - {families.short(pair['b'])}"]
+        assert own["difference"] == pytest.approx(pair["difference"])
+        half = families.half_width(own, 16, 6)
+        assert half == pytest.approx((pair["high"] - pair["low"]) / 2, rel=0.05)
 
 
 def test_what_the_first_page_claims_follows(measured):
