@@ -8,9 +8,10 @@ import numpy as np
 
 from r2h_batch.base.table import NA, Table, document, notes_list, of_lines, plain
 from r2h_batch.report.figures import make_figure, style
-from r2h_batch.report.statistics.aggregate import FAILURES, Rate, wilson_interval
+from r2h_batch.report.statistics.aggregate import Rate, wilson_interval
 from r2h_batch.report.statistics.intervals import over_clusters, paired_score_interval
 from r2h_batch.report.statistics.paired import Pair, compare, pair_up
+from r2h_batch.report.statistics.rates import FAILURES
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import HEADINGS, table_of
 from r2h_batch.report.text import legend, short_names

@@ -258,8 +258,9 @@ def needed(difference: float, own: Mapping[str, float]) -> dict[str, int | None]
 
 def order(folder: Path) -> dict[str, Any]:
     """SR and first failures (mean of the splits) of each method, and what of the six pairs is decided over all trials."""
-    from r2h_batch.report.statistics.aggregate import FAILURES, summarise
+    from r2h_batch.report.statistics.aggregate import summarise
     from r2h_batch.report.statistics.paired import compare, pair_up
+    from r2h_batch.report.statistics.rates import FAILURES
     from r2h_batch.report.statistics.tally import tally
     from r2h_batch.runs.store import load_run
 

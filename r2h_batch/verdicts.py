@@ -87,6 +87,7 @@ def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
         )
     wrong = {
         "name": not re.fullmatch("[a-z][a-z0-9_]*", entry.name),
+        "rate": entry.rate in ("sr", *(own.rate for own in _OURS)),
         "unit": entry.unit not in UNITS,
         "splits": not entry.splits or not set(entry.splits) <= set(SPLITS),
         "since": not entry.since,
@@ -94,8 +95,9 @@ def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
     if bad := [field for field, is_wrong in wrong.items() if is_wrong]:
         value = getattr(entry, bad[0])
         raise PluginError(
-            f"criterion {entry.name!r}: {bad[0]} is {value!r}; name: small letters, unit: {' or '.join(UNITS)}, splits: one of"
-            f" {', '.join(SPLITS)} or both (`applies` says for which objects), since: the version that judges by it first"
+            f"criterion {entry.name!r}: {bad[0]} is {value!r}; name: small letters, rate: of no other criterion, unit:"
+            f" {' or '.join(UNITS)}, splits: one of {', '.join(SPLITS)} or both (`applies` says for which objects), since: the"
+            " version that judges by it first"
         )
     return entry
 

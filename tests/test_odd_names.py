@@ -12,6 +12,7 @@ import pytest
 from made_runs import write_run
 from markdown_it import MarkdownIt
 
+from r2h_batch.base.table import tex
 from r2h_batch.report import page
 from r2h_batch.report.compare.text import render as render_comparison
 from r2h_batch.report.statistics.paired import compare, pair_up

@@ -15,10 +15,11 @@ from r2h_batch.base.table import NA
 from r2h_batch.report import figures
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import TIMES, Rate, Row, wilson_interval
+from r2h_batch.report.statistics.aggregate import Rate, Row, wilson_interval
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
+from r2h_batch.report.statistics.rates import TIMES
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,

@@ -25,23 +25,20 @@ from r2h_batch.base.table import (
 from r2h_batch.config import ExecutionError, ObjectErrors
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import (
-    ASKED_FAILURES,
-    FAILURES,
-    PARTIAL,
-    TIMES,
-    Rate,
-    Row,
-    summarise,
-)
+from r2h_batch.report.statistics.aggregate import Rate, Row, summarise
 from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import BOUNDS
-from r2h_batch.report.statistics.shares import (
+from r2h_batch.report.statistics.rates import (
+    ASKED_FAILURES,
+    FAILURES,
+    PARTIAL,
     PICK,
-    SHARES,
+    RATES,
     THROUGH,
+    TIMES,
     Share,
+    shares,
 )
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.text import legend, rate_fields, short_digests, short_names
@@ -53,13 +50,7 @@ from r2h_batch.verdicts import ELSEWHERE, IN_ORDER, NO_LONGER, SPLITS, UNITS, Cr
 
 FORMATS = ("md", "latex", "csv", "json")
 
-HEADINGS = {
-    "sr": "SR",
-    "t_plan_s": "T_plan",
-    "t_exec_s": "T_exec",
-    "t_tot_s": "T_tot",
-    **{rate: entry.heading for rate, entry in FAILURES.items()},
-}
+HEADINGS = {name: RATES[name].heading for name in ("sr", *TIMES[:3], *FAILURES)}
 """Table I's columns in its order."""
 
 _SKIPPED = " and ".join(
@@ -175,7 +166,9 @@ class Report:
     def shares(self) -> dict[str, Share]:
         """The shares that at least one line has."""
         return {
-            name: SHARES[name] for name in SHARES if any(name in row.shares for row in self.rows)
+            name: share
+            for name, share in shares().items()
+            if any(name in row.shares for row in self.rows)
         }
 
     def _partial(self, rate: str) -> str:
@@ -449,8 +442,9 @@ def best_cells(report: Report) -> set[tuple[str, str, str]]:
             printed = {r.method: cell(r, column) for r in rows}
             values = {method: float(text) for method, text in printed.items() if text != NA}
             if len(set(values.values())) > 1 and same:
-                top = (max if column == "sr" else min)(values.values())
-                lost = {r.method: 0.0 if column == "sr" else _lost_before(r, column) for r in rows}
+                higher = RATES[column].higher
+                top = (max if higher else min)(values.values())
+                lost = {r.method: 0.0 if higher else _lost_before(r, column) for r in rows}
                 least = min(lost.values())
                 best |= {
                     (split, method, column)
@@ -626,7 +620,7 @@ def record(row: Row) -> dict[str, Any]:
     few = rate_fields("sr_few", row.sr_few)
     del few["sr_few"]
     fields |= {"few": row.few} | few
-    for name in SHARES:
+    for name in shares():
         if name not in ASKED_FOR or name in row.shares:
             fields |= rate_fields(name, row.shares.get(name))
     for name in TIMES:

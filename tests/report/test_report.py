@@ -15,7 +15,7 @@ from rounds import each
 
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
-from r2h_batch.report.statistics.aggregate import RATES
+from r2h_batch.report.statistics.rates import OF_ALL
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
@@ -67,7 +67,7 @@ def test_csv_gives_back_every_cell_of_table_1(paper, expected):
     rows = list(csv.DictReader(io.StringIO(report.render(paper, "csv"))))
     found = {}
     for r in rows:
-        decimals = {c: 1 if c in RATES else 2 for c in COLUMNS}
+        decimals = {c: 1 if c in OF_ALL else 2 for c in COLUMNS}
         cells = [r[c] if r[c] == "n/a" else f"{float(r[c]):.{decimals[c]}f}" for c in COLUMNS]
         found[r["split"], r["method"]] = cells
         assert r["protocol"] == "made" and r["preset"] == "default"
@@ -83,7 +83,7 @@ def test_json_gives_back_every_cell_of_table_1_without_nan(paper, expected):
     data = json.loads(report.render(paper, "json"), parse_constant=refuse)
     for row in data["rows"]:
         for column, cell in zip(COLUMNS, expected[row["split"], row["method"]]):
-            digits = 1 if column in RATES else 2
+            digits = 1 if column in OF_ALL else 2
             assert (f"{row[column]:.{digits}f}" if row[column] is not None else "n/a") == cell
         if row["split"] != "Avg":
             failures = ("stability", "plan", "reach", "affordance", "safe", "invalid_input", "invalid_sim", "missing")

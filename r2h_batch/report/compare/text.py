@@ -17,7 +17,8 @@ from r2h_batch.base.table import (
 )
 from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
-from r2h_batch.report.statistics.shares import SHARES
+from r2h_batch.report.statistics.rates import RATES
+from r2h_batch.report.statistics.rates import shares as known_shares
 from r2h_batch.report.text import legend, short_names
 from r2h_batch.report.turn import MARK, Turned, about
 from r2h_batch.verdicts import SPLITS
@@ -25,7 +26,7 @@ from r2h_batch.verdicts import SPLITS
 FORMATS = ("md", "latex", "csv", "json")
 
 Shares = Mapping[str, Mapping[tuple[str, str], Rate]]
-"""Method -> (split, key of `SHARES`) -> rate."""
+"""Method -> (split, key of `rates.shares`) -> rate."""
 
 SHARES_NOTE = "Shares of rows on these trials, percent [95 %, Wilson] and rows; no part of SR."
 
@@ -113,7 +114,9 @@ def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str,
 
 def _shares(shares: Shares) -> Table:
     """Split, method, and each share with its interval and rows."""
-    names = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
+    names = [
+        n for n in known_shares() if any(n == k for rates in shares.values() for _, k in rates)
+    ]
     short, records = short_names(list(shares)), []
     for split in SPLITS:
         for method, rates in shares.items():
@@ -127,7 +130,7 @@ def _shares(shares: Shares) -> Table:
                 records.append(record)
     form = "{value:.1f} [{low:.0f}, {high:.0f}] {of}"
     columns = [Column("split", "Split", left=True), Column("method", "Method", left=True)]
-    columns += [Column(name, SHARES[name].heading, form) for name in names]
+    columns += [Column(name, RATES[name].heading, form) for name in names]
     return Table(columns, records, title=SHARES_NOTE)
 
 
@@ -239,7 +242,9 @@ def _all_pairs(comparisons: Sequence[Comparison], turns: Sequence[Turned], share
     is first; shares of rows where there are any; where there are turn tests, with the largest move of each
     method's rate."""
     records = []
-    shown = [n for n in SHARES if any(n == k for rates in shares.values() for _, k in rates)]
+    shown = [
+        n for n in known_shares() if any(n == k for rates in shares.values() for _, k in rates)
+    ]
     for c in comparisons:
         rate = dict(zip(c.names, c.rates))
         ranks = [] if c.rank is None else c.rank.tolist()

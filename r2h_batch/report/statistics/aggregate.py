@@ -22,29 +22,17 @@ from r2h_batch.base.validate import (
 )
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.intervals import over_clusters
+from r2h_batch.report.statistics.rates import (
+    ASKED_FAILURES,
+    FAILURES,
+    OF_ALL,
+    PARTIAL,
+    TIMES,
+)
 from r2h_batch.report.statistics.shares import counted_shares
 from r2h_batch.report.statistics.tally import SECONDS, Tally
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import ASKED, REGISTRY, SPLITS
-
-FAILURES = {entry.rate: entry for entry in sorted(REGISTRY, key=lambda entry: entry.column)}
-"""Rate of first failures -> its criterion, in the order of Table I's columns."""
-
-ASKED_FAILURES = {entry.rate: entry for entry in ASKED}
-"""The same of criteria that not all benchmarks ask for; lines of the others have no such rate."""
-
-PARTIAL = {rate: entry for rate, entry in FAILURES.items() if entry.applies is not None}
-"""Those of criteria for some objects: rates of the trials that they concern."""
-
-RATES = {
-    "sr": ("success",),
-    **{rate: (entry.name,) for rate, entry in FAILURES.items()},
-    "invalid": ("invalid_input", "invalid_sim"),
-    "missing": ("missing",),
-}
-"""Rate -> the outcomes that it counts. Each outcome is in exactly one rate, so they sum to 100."""
-
-TIMES = ("t_plan_s", "t_exec_s", "t_tot_s", "t_method_s")
+from r2h_batch.verdicts import SPLITS
 
 
 @dataclass(frozen=True)
@@ -78,7 +66,7 @@ class Row:
         method: its name.
         n: planned trials.
         counts: outcome -> trials.
-        rates: key of `RATES` -> rate of all n trials; None where it is not defined. Also those of `ASKED_FAILURES` that the
+        rates: key of `OF_ALL` -> rate of all n trials; None where it is not defined. Also those of `ASKED_FAILURES` that the
             benchmark asks for.
         sr_new_objects: the success rate with its interval for new objects.
         n_objects: different objects.
@@ -87,8 +75,8 @@ class Row:
         sr_few: the success rate with its prediction interval: where the mean of `few` new categories
             lies, of each split in the Avg row.
         few: number of these.
-        times: key of `TIMES` -> mean in seconds.
-        shares: key of `SHARES` -> rate of the rows that it is of; those that no row is of are left out.
+        times: one of `TIMES` -> mean in seconds.
+        shares: key of `rates.shares` -> rate of the rows that it is of; those that no row is of are left out.
     """
 
     split: str
@@ -231,7 +219,7 @@ def _row(counted: Tally, split: str, cells: Sequence[Mapping[str, Any]], few: in
         trials[cell["object"]] += cell["n"]
         successes[cell["object"]] += cell["successes"]
     n = trials.total()
-    rates = {rate: _rate(sum(counts[o] for o in of_it), n) for rate, of_it in RATES.items()}
+    rates = {rate: _rate(sum(counts[o] for o in of_it), n) for rate, of_it in OF_ALL.items()}
     asked = {rate: e for rate, e in ASKED_FAILURES.items() if e.name in counted.judged}
     rates |= {rate: _rate(counts[entry.name], n) for rate, entry in asked.items()}
     for rate, entry in FAILURES.items():

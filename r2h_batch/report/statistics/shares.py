@@ -1,83 +1,21 @@
-"""Shares of rows: rates that are no part of SR, each an entry here. Tables (md, csv, json), pages, LaTeX and
-comparisons show those that a row has."""
+"""Shares of rows (`rates.shares`): rates that are no part of SR. Tables (md, csv, json), pages, LaTeX and comparisons show those
+that a row has."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from r2h_batch.config import BORDERLINE_M
-from r2h_batch.plugins import Registry
 from r2h_batch.report.statistics.codes import codes
+from r2h_batch.report.statistics.rates import Share, shares
 from r2h_batch.runs.store import Run
-from r2h_batch.verdicts import SPLITS, Outcome
-
-
-@dataclass(frozen=True)
-class Share:
-    """A rate of some of a method's rows.
-
-    Attributes:
-        heading: in tables.
-        caption: what is counted, of which rows; a sentence.
-        needs: stored columns of trials that it is made of; rows of older versions have null there.
-        of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
-            stored column says it (`report.picks`).
-    """
-
-    heading: str
-    caption: str
-    needs: tuple[str, ...] = ()
-    of: Callable[[pa.Table], pa.ChunkedArray] | None = None
-
-
-def _presented(rows: pa.Table) -> pa.ChunkedArray:
-    return rows["presented"]
-
-
-def _body_met(rows: pa.Table) -> pa.ChunkedArray:
-    return pc.less(rows["body_m"], 0)
-
-
-def _through(rows: pa.Table) -> pa.ChunkedArray:
-    """By more than float32's doubt."""
-    success = pc.equal(rows["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
-    return pc.if_else(success, pc.less(rows["margin_plan_m"], -BORDERLINE_M), None)
-
-
-THROUGH = "through"
-PICK = "pick"
-
-SHARES: Registry[Share] = Registry(
-    "share",
-    {
-        "presented": Share("Presented", "Presented (not in SR).", ("presented",), _presented),
-        "body_met": Share(
-            "Body met",
-            "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",
-            ("body_m",),
-            _body_met,
-        ),
-        THROUGH: Share(
-            "Through",
-            "Successes whose path passes through something by more than 0.1 mm between two samples (edge_check moveit).",
-            ("outcome", "margin_plan_m"),
-            _through,
-        ),
-        PICK: Share(
-            "Pick posture",
-            "Trials of a method that sees in which some posture takes the object up where it lay (not in SR).",
-        ),
-    },
-)
-"""Key in csv and json -> share: ours, and those that packages name as `share.NAME`."""
+from r2h_batch.verdicts import SPLITS
 
 
 def counted_shares() -> dict[str, Share]:
     """Those that stored columns say."""
-    return {name: SHARES[name] for name in SHARES if SHARES[name].of is not None}
+    return {name: share for name, share in shares().items() if share.of is not None}
 
 
 def with_shares(rows: pa.Table) -> pa.Table:

@@ -42,7 +42,7 @@ def values(text: str, name: str) -> tuple[float, ...]:
 def render(points: "Sequence[Point]", methods: Sequence[str]) -> str:
     """Tables of rates for every point and method, and the ranks over the points."""
     from r2h_batch.base.table import NA, Table, document, notes_list, of_lines, plain
-    from r2h_batch.report.statistics.aggregate import ASKED_FAILURES, FAILURES, PARTIAL
+    from r2h_batch.report.statistics.rates import ASKED_FAILURES, FAILURES, PARTIAL
     from r2h_batch.report.statistics.thresholds import ROUNDING_M, rank_stability
     from r2h_batch.report.text import legend, short_names
 

@@ -1,0 +1,152 @@
+"""The registry of all that tables say in numbers: rates of outcomes, mean times, shares of rows. What each counts and of which
+rows, its words, its unit, and whether more of it is better."""
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from r2h_batch.config import BORDERLINE_M
+from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.verdicts import ASKED, REGISTRY, CriterionEntry, Outcome
+
+
+@dataclass(frozen=True)
+class Share:
+    """A number of tables; as packages name it (`share.NAME`) a share of a method's rows, no part of SR.
+
+    Attributes:
+        heading: in tables.
+        caption: what is counted, of which rows; a sentence.
+        needs: stored columns of trials that it is made of; rows of older versions have null there.
+        of: a table with these columns -> (N,) bool, whether the row counts; null: the row is not of those. None: no
+            stored column says it.
+        outcomes: those that it counts, of all planned trials. Each outcome is in exactly one rate, so these sum to 100.
+        criterion: that fails first in these trials.
+        unit: percent of rows, or mean seconds.
+        higher: whether more is better; None: neither is.
+    """
+
+    heading: str
+    caption: str
+    needs: tuple[str, ...] = ()
+    of: Callable[[pa.Table], pa.ChunkedArray] | None = None
+    outcomes: tuple[str, ...] = ()
+    criterion: CriterionEntry | None = None
+    unit: str = "%"
+    higher: bool | None = None
+
+    @property
+    def is_share(self) -> bool:
+        """Whether it is of rows that it chooses itself, so no part of the sum of the outcomes."""
+        return not self.outcomes and self.unit == "%"
+
+
+def _failure(entry: CriterionEntry) -> Share:
+    caption = f"Trials that fail {entry.name.capitalize()} first."
+    return Share(entry.heading, caption, outcomes=(entry.name,), criterion=entry, higher=False)
+
+
+def _time(heading: str, caption: str) -> Share:
+    return Share(heading, caption, unit="s", higher=False)
+
+
+def _presented(rows: pa.Table) -> pa.ChunkedArray:
+    return rows["presented"]
+
+
+def _body_met(rows: pa.Table) -> pa.ChunkedArray:
+    return pc.less(rows["body_m"], 0)
+
+
+def _through(rows: pa.Table) -> pa.ChunkedArray:
+    """By more than float32's doubt."""
+    success = pc.equal(rows["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
+    return pc.if_else(success, pc.less(rows["margin_plan_m"], -BORDERLINE_M), None)
+
+
+THROUGH = "through"
+PICK = "pick"
+
+_OURS = (
+    ("sr", Share("SR", "Trials that succeed.", outcomes=("success",), higher=True)),
+    ("t_plan_s", _time("T_plan", "Planning time of a batch, divided by its trials.")),
+    ("t_exec_s", _time("T_exec", "Trials whose arm came to rest at its goal.")),
+    ("t_tot_s", _time("T_tot", "T_plan and T_exec.")),
+    ("t_method_s", _time("T_method", "The method's own time per trial.")),
+    *((e.rate, _failure(e)) for e in (*sorted(REGISTRY, key=lambda e: e.column), *ASKED)),
+    (
+        "invalid",
+        Share(
+            "invalid", "Trials not judged.", outcomes=("invalid_input", "invalid_sim"), higher=False
+        ),
+    ),
+    ("missing", Share("missing", "Trials without an answer.", outcomes=("missing",), higher=False)),
+    ("presented", Share("Presented", "Presented (not in SR).", ("presented",), _presented)),
+    (
+        "body_met",
+        Share(
+            "Body met",
+            "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",
+            ("body_m",),
+            _body_met,
+        ),
+    ),
+    (
+        THROUGH,
+        Share(
+            "Through",
+            "Successes whose path passes through something by more than 0.1 mm between two samples (edge_check moveit).",
+            ("outcome", "margin_plan_m"),
+            _through,
+        ),
+    ),
+    (
+        PICK,
+        Share(
+            "Pick posture",
+            "Trials of a method that sees in which some posture takes the object up where it lay (not in SR).",
+        ),
+    ),
+)
+
+RATES: Registry[Share] = Registry("share")
+"""Key in csv and json -> what it is: ours, those of criteria that packages name as `criterion.NAME`, and shares that they
+name as `share.NAME`. A name that is taken is refused."""
+for _name, _rate in _OURS:
+    RATES.add(_name, _rate)
+
+FAILURES = {n: r.criterion for n, r in _OURS if r.criterion and r.criterion not in ASKED}
+"""Rate of first failures -> its criterion, in the order of Table I's columns."""
+
+ASKED_FAILURES = {n: r.criterion for n, r in _OURS if r.criterion and r.criterion in ASKED}
+"""The same of criteria that not all benchmarks ask for; lines of the others have no such rate."""
+
+PARTIAL = {n: entry for n, entry in FAILURES.items() if entry.applies is not None}
+"""Those of criteria for some objects: rates of the trials that they concern."""
+
+OF_ALL = {n: r.outcomes for n, r in _OURS if r.outcomes and n not in ASKED_FAILURES}
+"""Rate of all planned trials -> the outcomes that it counts."""
+
+TIMES = tuple(n for n, r in _OURS if r.unit == "s")
+
+_TAKEN = re.compile("split|method|object|few|(n|sr|turn)(_.*)?|.*_(low|high|of|n)")
+"""Names of other values of a record."""
+
+
+def shares() -> dict[str, Share]:
+    """The shares of rows: ours, then those of other packages.
+
+    Raises:
+        PluginError: another package's has a name that is taken.
+    """
+    found = {name: RATES[name] for name in RATES if RATES[name].is_share}
+    ours = dict(_OURS)
+    for name in found:
+        if name not in ours and _TAKEN.fullmatch(name):
+            raise PluginError(
+                f"share {name!r}: tables keep this name for another value (n_..., sr_..., ..._low, ..._high, ..._of); rename it"
+            )
+    return found
