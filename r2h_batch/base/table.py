@@ -53,6 +53,7 @@ class Column:
         about: key of what HTML says when a cell is pointed at.
         own: what a cell says is the author's own: Markdown does not escape it.
         ends: HTML and LaTeX may write the interval below the number.
+        bar: HTML draws it too, on a scale to 100.
     """
 
     name: str
@@ -67,6 +68,7 @@ class Column:
     about: str = ""
     own: bool = False
     ends: bool = False
+    bar: bool = False
 
     @property
     def head(self) -> str:
@@ -216,6 +218,9 @@ class Table:
         low, high = (record.get(f"{column.name}_{end}") for end in ("low", "high"))
         if column.ends and low is not None and high is not None:
             said += f"<small>{low:.1f}\u2013{high:.1f}</small>"
+            if column.bar:
+                place_of = f"left:{low:.1f}%;width:calc({high:.1f}% - {low:.1f}%)"
+                said += f'<span class=interval><i style="{place_of}"></i></span>'
         return f"<td{attributes}>{said}</td>"
 
 

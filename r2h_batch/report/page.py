@@ -6,30 +6,34 @@ jinja2 fills page.html and escapes all text that comes from files; matplotlib dr
 
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from r2h_batch.base.table import NA
+from r2h_batch.base.table import NA, PERCENT, Column, Table, of_lines
 from r2h_batch.report import figures
 from r2h_batch.report.compare.text import p_words
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import Rate, Row, wilson_interval
+from r2h_batch.report.statistics.aggregate import Row, wilson_interval
 from r2h_batch.report.statistics.common import Common
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
-from r2h_batch.report.statistics.rates import TIMES
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,
+    SPLIT,
     Report,
     best_cells,
-    cell,
-    invalid,
+    method_column,
+    number_column,
+    records_of,
+    share_columns,
     table_of,
 )
 from r2h_batch.report.text import short_names
+from r2h_batch.report.turn import Turned
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import EVERY, UNITS
@@ -90,6 +94,7 @@ def page(
     times = breakdown.time_histograms(run, "t_exec_s")
     comparable = len(run.methods) > 1 and not (len(runs) > 1 and common is None)
     compared = compare(pair_up([run], common), few=few) if comparable else ()
+    together = _co_failures(counted, short)
     loader = jinja2.PackageLoader("r2h_batch.report", ".")
     strict = jinja2.StrictUndefined
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict)
@@ -97,10 +102,12 @@ def page(
         title=", ".join(r.folder.resolve().name for r in runs),
         origin=table.origin,
         short=short,
-        overview=_overview(table, compared),
+        overview=_overview(table, compared, short).html(
+            name="overview", sortable=True, least=LEAST_TRIALS
+        ),
+        moved=any(test.marked for test in table.turns),
         bold=bool(best_cells(table)),
         kind="categories" if table.families else "objects",
-        few=few,
         splits=list(dict.fromkeys(row.split for row in table.rows)),
         matrices=[_matrix(c) for c in compared],
         heat=_heat(counted, run.methods),
@@ -111,53 +118,66 @@ def page(
         legend=[(figures.WORDS[o], figures.COLORS[o]) for o in used],
         margins=[figure for figure in margins if figure],
         times=figures.ridges("T_exec", {short[m]: h for m, h in times.items()}, scale=1, unit="s"),
-        co_failures=_co_failures(counted, short),
+        co_failures=together.html(sortable=True) if together.records else "",
         gallery=gallery or {},
-        table=_table(table),
-        headings=list(table.headings.values()),
-        shares=list(table.shares.values()),
-        failing=[entry.heading for entry in table.failures.values()],
+        table=_full(table, short).html(name="full", sortable=True, least=LEAST_TRIALS),
         notes=[*table.notes, *([BEST_NOTE] if best_cells(table) else [])],
-        facts=_all_facts(runs),
+        facts=of_lines(("field of run.json", "value"), _all_facts(runs), left=2).html(),
         trials=_trials(run, gallery or {}),
     )
 
 
-def _cell(text: str, value: float | None, low: str = "", high: str = "", best: bool = False) -> Any:
+def _cell(text: str, value: float | None, low: str = "", high: str = "") -> Any:
     """A cell as page.html writes it; it sorts by `value`, and cells without one come first."""
     value = -1 if value is None else value
-    return {"text": text, "value": value, "low": low, "high": high, "best": best}
+    return {"text": text, "value": value, "low": low, "high": high}
 
 
-def _rate(row: Row | None, column: str, best: bool = False) -> Any:
-    return _percent(row.rates[column] if row else None, best)
-
-
-def _percent(rate: Rate | None, best: bool = False) -> Any:
+def _rate(row: Row | None) -> Any:
+    rate = row.rates["sr"] if row else None
     if rate is None:
         return _cell(NA, None)
     low, high = f"{rate.low:.1f}", f"{rate.high:.1f}"
-    cell = _cell(f"{rate.percent:.1f}", round(rate.percent, 4), low, high, best)
-    return cell | {"total": rate.total}
+    return _cell(f"{rate.percent:.1f}", round(rate.percent, 4), low, high)
 
 
-def _overview(table: Report, compared: Sequence[Comparison]) -> list[dict[str, Any]]:
+def _overview(report: Report, compared: Sequence[Comparison], short: Mapping[str, str]) -> Table:
     """A line for each method: SR of each split with its interval, the rank on new objects, the
     failures and T_exec of the last row (Avg, or the only split)."""
-    best = best_cells(table)
-    lines = []
-    for method in dict.fromkeys(row.method for row in table.rows):
-        rows = [row for row in table.rows if row.method == method]
-        line = {
-            "method": method,
-            "moved": " ".join(t.sentence for t in table.turns if t.method == method and t.marked),
-            "sr": [_rate(r, "sr", (r.split, method, "sr") in best) for r in rows],
-            "rank": _rank(compared[-1], method) if compared else None,
-            "failures": [_rate(rows[-1], c) for c in table.failures],
-            "t_exec": _cell(cell(rows[-1], "t_exec_s"), rows[-1].times["t_exec_s"].value or None),
+    best, kind = best_cells(report), "categories" if report.families else "objects"
+    splits = list(dict.fromkeys(row.split for row in report.rows))
+    records, bold = [], set()
+    for method in dict.fromkeys(row.method for row in report.rows):
+        own = {r["split"]: r for r in records_of(report) if r["method"] == method}
+        tests = [t for t in report.turns if t.method == method and t.marked]
+        record = dict(own[splits[-1]]) | {
+            "about": _about(method, tests),
+            "turn_marked": bool(tests),
         }
-        lines.append(line)
-    return lines
+        for split, row in own.items():
+            record |= {f"{split}{k[2:]}": row[k] for k in ("sr", "sr_low", "sr_high", "sr_of")}
+            bold |= {(len(records), split)} if (split, method, "sr") in best else set()
+        rank = _rank(compared[-1], method) if compared else {"text": NA, "value": None}
+        records.append(record | {"rank": rank["value"], "rank_text": rank["text"]})
+    words = f"first failures, {splits[-1]}, % of all trials"
+    failures = [replace(number_column(report, c), title=words, ends=False) for c in report.failures]
+    columns = (
+        replace(method_column(short), about="about"),
+        *(Column(s, f"SR {s}", PERCENT, ends=True, bar=True) for s in splits),
+        Column(
+            "rank",
+            form=lambda r: str(r["rank_text"]),
+            title=f"rank by SR among new {kind}: those of at least 5 % of the draws",
+        ),
+        *failures,
+        replace(number_column(report, "t_exec_s"), title=f"simulated seconds, {splits[-1]}"),
+    )
+    return Table(columns, records, bold=frozenset(bold))
+
+
+def _about(method: str, tests: Sequence[Turned]) -> str:
+    """What a method's cell says when it is pointed at."""
+    return ". ".join([method, *(" ".join(t.sentence for t in tests) for _ in tests[:1])])
 
 
 def _rank(c: Comparison, method: str) -> dict[str, Any]:
@@ -200,7 +220,7 @@ def _heat(
     lines = []
     for split, name in sorted({key[:2] for key in cells if names is None or key[1] in names}):
         own = [cells.get((split, name, m)) for m in methods]
-        values = [_rate(row, "sr") | {"n": row.n if row else 0} for row in own]
+        values = [_rate(row) | {"n": row.n if row else 0} for row in own]
         lines.append(_heat_line(split, name, values))
     return lines
 
@@ -261,43 +281,44 @@ def _first_pictures(
     return found
 
 
-def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> list[dict[str, Any]]:
+def _co_failures(counted: Sequence[Tally], short: Mapping[str, str]) -> Table:
     """The pairs of criteria that at least one trial of a method fails together."""
-    lines = []
+    records = []
     for t in counted:
         found = breakdown.co_failures(t)
         for i, a in enumerate(t.judged):
             for j, b in list(enumerate(t.judged))[i + 1 :]:
                 if n := int(found.failed[i, j]):
                     both = int(found.evaluated[i, j])
-                    lines.append({"method": short[t.method], "a": a, "b": b, "n": n, "of": both})
-    return lines
+                    records.append({"method": short[t.method], "a": a, "b": b, "n": n, "of": both})
+    names = {"method": "Method", "a": "fails", "b": "and"}
+    words = (Column(name, heading, left=True) for name, heading in names.items())
+    return Table((*words, Column("n", "trials"), Column("of")), records)
 
 
-def _table(table: Report) -> list[dict[str, Any]]:
+def _full(report: Report, short: Mapping[str, str]) -> Table:
     """Every cell of Table I, rates with their intervals."""
-    best = best_cells(table)
-    lines = []
-    for row in table.rows:
-        cells = [
-            _rate(row, c, (row.split, row.method, c) in best)
-            if c not in TIMES
-            else _cell(cell(row, c), row.times[c].value)
-            for c in table.headings
-        ]
-        new = row.sr_new_categories if table.families else row.sr_new_objects
-        test = table.turn_of(row)
-        more = {
-            "moved": test.sentence if test and test.marked else "",
-            "new": f"{new.low:.1f}\u2013{new.high:.1f}" if new else NA,
-            "few": f"{row.sr_few.low:.1f}\u2013{row.sr_few.high:.1f}" if row.sr_few else NA,
-            "shares": [_percent(row.shares.get(name)) for name in table.shares],
-            "n": row.n,
-            "invalid": invalid(row),
-            "missing": row.counts["missing"],
-        }
-        lines.append({"split": row.split, "method": row.method, "cells": cells, **more})
-    return lines
+    best, kind = best_cells(report), "categories" if report.families else "objects"
+    records = records_of(report)
+    for record, row in zip(records, report.rows, strict=True):
+        test = report.turn_of(row)
+        record["about"] = _about(row.method, [test] if test and test.marked else [])
+    bold = {
+        (k, c)
+        for k, row in enumerate(report.rows)
+        for c in report.headings
+        if (row.split, row.method, c) in best
+    }
+    few, form = f"95 %: the mean of {report.few} {kind} that you bring", "{low:.1f}\u2013{high:.1f}"
+    columns = (
+        *(SPLIT, replace(method_column(short), about="about")),
+        *(number_column(report, c) for c in report.headings),
+        Column(f"sr_new_{kind}", f"SR, new {kind}", form, title=f"95 %: the mean of all {kind}"),
+        Column("sr_few", f"SR, of {report.few} new", form, title=few),
+        *share_columns(report),
+        *(Column("n", "N"), Column("invalid"), Column("n_missing", "missing")),
+    )
+    return Table(columns, records, bold=frozenset(bold))
 
 
 def _trials(run: Run, gallery: Mapping[str, Sequence[Mapping[str, str]]]) -> dict[str, Any]:

@@ -491,11 +491,15 @@ def _with_more(report: Report, row: Row) -> dict[str, Any]:
     return found
 
 
-def _records(report: Report) -> list[dict[str, Any]]:
-    """Records for people: also of how many rows each share is, and what could not be judged."""
+def records_of(report: Report) -> list[dict[str, Any]]:
+    """Records for people: also of how many rows each rate is, and what could not be judged."""
     return [
         _with_more(report, row)
-        | {f"{name}_of": rate.total for name, rate in row.shares.items()}
+        | {
+            f"{n}_of": rate.total
+            for n, rate in (dict(row.rates) | dict(row.shares)).items()
+            if rate
+        }
         | {"invalid": invalid(row)}
         for row in report.rows
     ]
@@ -559,7 +563,7 @@ def brief(report: Report) -> str:
         *(test.sentence for test in report.turns if test.marked),
     ]
     words = textwrap.fill(origin, NOTE, break_long_words=False, break_on_hyphens=False)
-    return document([Table(columns, _records(report)), words, notes_list(notes)])
+    return document([Table(columns, records_of(report)), words, notes_list(notes)])
 
 
 def _first_failure(failures: Mapping[str, CriterionEntry]) -> str:
@@ -591,7 +595,7 @@ def _md(report: Report) -> str:
             *(Column("invalid"), Column("n_missing", "missing")),
         ],
     }
-    first, records = [SPLIT, method_column(short)], _records(report)
+    first, records = [SPLIT, method_column(short)], records_of(report)
     tables = [Table([*first, *own], records, title=title) for title, own in sections.items()]
     for name, share in report.shares.items():
         own = [Column(name, share.heading, PERCENT), Column(name, "95 %", INTERVAL)]
@@ -683,7 +687,7 @@ def _wide(report: Report, short: Mapping[str, str]) -> Table:
         (f"{split}, {'$N$ in brackets' if split in differ else f'$N={own[0]}$'}", len(own))
         for split, own in sizes.items()
     ]
-    return Table(columns, _records(report), bold=frozenset(bold), groups=groups)
+    return Table(columns, records_of(report), bold=frozenset(bold), groups=groups)
 
 
 def _narrow(report: Report, short: Mapping[str, str]) -> Table:

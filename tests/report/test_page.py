@@ -56,8 +56,8 @@ def test_the_page_fetches_nothing(paper):
 
 def test_the_page_holds_every_cell_of_table_1(paper):
     _, text = paper
-    line = r"<tr><td[^>]*>(S0|S1|Avg)</td><td class=\"l\" title=\"(.*?)\">(.*?)</td>(.*?)</tr>"
-    rows = re.findall(line, text.partition("<table id=full")[2])
+    line = r"<tr><td[^>]*>(S0|S1|Avg)</td><td class=l title=\"(.*?)\">(.*?)</td>(.*?)</tr>"
+    rows = re.findall(line, text.partition('<table id="full"')[2])
     found = {}
     for split, method, short, cells in rows:
         assert method == short or f"<li>{short}: {method}.</li>" in text, "the full name stands below the table"
@@ -99,7 +99,9 @@ def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(
     assert text.count("<svg") == len(run.methods) + 6  # outcomes of each method; five margins, T_exec
     assert len(re.findall(r'class=h data-v="[\d.]+"', text)) == 6 * len(run.methods)
     assert "Criteria that fail together" in text and len(text) < 5 << 20
-    assert re.search(r"<b>\d", text.partition("id=full")[2]) and "<b>8.5" not in text  # rates may be bold, times never
+    assert (
+        re.search(r"<b>\d", text.partition('id="full"')[2]) and "<b>8.5" not in text
+    )  # rates may be bold, times never
     alone = page.page(write_run(tmp_path / "run", {"m": np.zeros(8, int)}, 4, 4))
     assert "Criteria that fail together" not in alone and "id=significance" not in alone and "<b>100" not in alone
     pictures = {"src": "data:image/png;base64,AA==", "alt": "<x>", "caption": "trial 3", "href": "t.html"}
@@ -113,7 +115,7 @@ def test_a_page_says_who_is_better_on_which_object_and_shows_only_what_is_there(
 @pytest.mark.parametrize("n", [9, 10])
 def test_rates_of_fewer_than_ten_trials_are_grey_in_every_table(tmp_path, n):
     text = page.page(write_run(tmp_path / "run", {"mine": np.zeros(2 * n, int)}, n, n))
-    top, whole = (re.search(rf"<table id={i}.*?</table>", text, re.S) for i in ("overview", "full"))
+    top, whole = (re.search(rf'<table id="{i}".*?</table>', text, re.S) for i in ("overview", "full"))
     for table in each([top, whole]):
         grey = re.findall(r'<td class=few title="of (\d+)"', table[0])
         assert (len(grey) > 0) == (n < 10) and set(grey) <= {"9"}
