@@ -1,4 +1,4 @@
-"""Damage to files, by format, and what a kind of file is: what bench/attacks.py and bench/_attack_draft.py attack with."""
+"""Damage to files, by format, and what a kind of file is: what tests/test_damaged_files.py damages."""
 
 import json
 import os
