@@ -21,9 +21,6 @@ from r2h_batch.verdicts import Outcome
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = re.compile(r"(?<![\w.~-])/(?:work|tmp|home|root|Users|mnt|opt|usr|srv|var|private)/")
 
-ATTACK = "member '/tmp/x' points outside the archive"
-"""An answer to an attack (bench/attacks.py): the name of a hostile member, and no place."""
-
 
 @pytest.fixture
 def scans(monkeypatch):
@@ -42,7 +39,7 @@ def test_no_committed_json_names_a_place_on_a_machine():
     if listed.returncode:
         pytest.skip("no checkout")
     for name in each(listed.stdout.splitlines()):
-        text = (ROOT / name).read_text("utf-8").replace(ATTACK, "")
+        text = (ROOT / name).read_text("utf-8")
         assert not PLACE.search(text) and str(ROOT) not in text, name
 
 

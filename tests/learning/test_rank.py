@@ -59,8 +59,17 @@ def test_mined_pairs_are_the_best_of_each_round_and_are_judged(pairs):
 
 @pytest.mark.parametrize(
     "kept",
-    [b"no such thing", b"", b"as it was\n", {"recipe": 3}, {"x": torch.zeros(3)}, [1, 2]],
-    ids=["words", "nothing", "a line", "another recipe", "another state", "a list"],
+    [
+        b"no such thing",
+        b"",
+        b"as it was\n",
+        b"cos\nsystem\n(S'true'\ntR.",
+        bytes(range(256)) * 99,
+        {"recipe": 3},
+        {"x": torch.zeros(3)},
+        [1, 2],
+    ],
+    ids=["words", "nothing", "a line", "a call", "bytes", "another recipe", "another state", "a list"],
 )
 def test_a_checkpoint_that_is_none_is_refused_in_one_line(kept, tmp_path):
     path = tmp_path / CHECKPOINT

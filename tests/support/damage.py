@@ -210,6 +210,7 @@ CSV: dict[str, Damage] = {
     "other digits": rewritten(lambda d: d.replace(b"1", "\u0661".encode())),
     "UTF-16": rewritten(lambda d: d.decode().encode("utf-16")),
     "no header": rewritten(lambda d: d.partition(b"\n")[2]),
+    "a name that is no UTF-8": rewritten(lambda d: b"\x80" + d),
     "every row twice": rewritten(lambda d: d + d.partition(b"\n")[2]),
 }
 XML: dict[str, Damage] = {
@@ -302,6 +303,8 @@ WEIGHTS: dict[str, Damage] = {
 }
 TOML: dict[str, Damage] = {
     "brackets 30,000 deep": rewritten(lambda d: d + b"x = " + b"[" * 30_000),
+    "10,000 tables deep": rewritten(lambda d: d + b"[" + b"a." * 10_000 + b"a]\n"),
+    "10,000 dotted keys": rewritten(lambda d: b"a." * 10_000 + b"a = 1\n" + d),
     "a table twice": rewritten(lambda d: d + d),
     "NaN": rewritten(lambda d: d.replace(b"0", b"nan")),
     "numbers of 400 digits": rewritten(lambda d: d.replace(b"0", b"1" * 400)),

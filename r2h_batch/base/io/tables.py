@@ -41,11 +41,11 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
         options = pc.ConvertOptions(column_types=kinds, null_values=[""])
         try:
             table = pc.read_csv(stream, convert_options=options)
+            names = table.column_names  # decoded here
         except (pa.ArrowException, UnicodeDecodeError) as error:
             why = printable(error)[:200]
             how = "save it as CSV UTF-8, with commas"
             raise FileError(f"{where}: no readable CSV ({why}); {how}") from None
-    names = table.column_names
     # the first one only: counting each of a million names would take hours
     odd = next((n for n in names if n not in kinds or names.count(n) > 1), None)
     if odd is not None:
