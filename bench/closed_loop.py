@@ -67,9 +67,10 @@ of successes, and the least distance between robot and hand.
 def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
     """The shipped baselines, or some of them, how many trials each has, and the scores of all: method by method."""
     from r2h_batch import load_benchmark
+    from r2h_batch.report import load_baselines
     from r2h_batch.sweep.results.judge import Judge
 
-    run = load_benchmark().baselines().only(only)
+    run = load_baselines(load_benchmark()).only(only)
     judge = Judge(run)
     grasps: list[torch.Tensor] = []
     places: list[torch.Tensor] = []

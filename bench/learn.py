@@ -185,9 +185,9 @@ def region_limits(own: "Benchmark", path: Path) -> dict[str, dict[str, float]]:
     from r2h_batch.methods.ranker.observe import observe
     from r2h_batch.methods.ranker.search import liked, scored_by
 
-    none = without_candidates(own.evaluator(threads=1).scene)
+    none = without_candidates(Evaluator(own, threads=1).scene)
     own = own.with_objects([o for k, o in enumerate(own.objects) if k not in none])
-    judge = own.evaluator(threads=1)
+    judge = Evaluator(own, threads=1)
     trials = own.trials_with_ids(OTHER_ID + 1 + 2 * torch.arange(TRIALS_OF_REGIONS))  # odd ones: S1
     kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
     score, key = scored_by(read_weights(path)), rng.key_of("learned 0")
@@ -269,11 +269,11 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     """Whether the stored rows' first trials of each split are received, also with success; of both methods, and paired on the
     trial."""
     from r2h_batch.judge.reception import reception
-    from r2h_batch.report.compare.stored import load_baselines
+    from r2h_batch.report.compare.stored import load_rows
     from r2h_batch.sweep.results.judge import Judge
     from r2h_batch.sweep.results.questions import judged, parts
 
-    run = load_baselines(folder).only(BESIDE)
+    run = load_rows(folder).only(BESIDE)
     judge = Judge(run)
     scene, asked = judge.evaluator.scene, judge.trials(np.arange(2 * trials))
     ends: dict[str, dict[str, np.ndarray]] = {}
@@ -527,7 +527,7 @@ class Bench:
         from r2h_batch.methods import learned
 
         own = self.benchmark.with_objects(with_regions(plain, 4)[len(plain) :])
-        judge = own.evaluator(threads=1)
+        judge = Evaluator(own, threads=1)
         trials = own.trials_with_ids(OTHER_ID + 1 + 2 * torch.arange(count))  # odd ones: S1
         kinds = np.array([kind_of_region(o) for o in judge.scene.objects])[trials.object_index.numpy()]
         answers = learned.predict(trials, judge.scene, weights=str(path))
@@ -546,7 +546,7 @@ class Bench:
         for fold in CHOSEN_BY:
             plain = training_objects(self.benchmark, CHOICE.format(",".join(FOLDS[fold])))
             own = self.benchmark.with_objects(plain)
-            judge = own.evaluator(threads=1)
+            judge = Evaluator(own, threads=1)
             trials = own.trials_with_ids(OTHER_ID + torch.arange(OWN_TRIALS))
             functional = np.array(trials.splits) == "S1"
             for name, recipe in RECIPES.items():

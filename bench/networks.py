@@ -35,12 +35,13 @@ MEASURES = (
 
 def region_areas(contacts: Contacts, objects: str = "") -> dict[str, float]:
     """Object of S1 -> area under the curve of the receiver's region: of r2h-v2's, or of those that `--objects` names."""
+    from r2h_batch import Evaluator
     from r2h_batch.assets.families.train_contacts import area
     from r2h_batch.protocols.choice import BenchmarkChoice
     from r2h_batch.protocols.edit import edited
 
     benchmark = edited(BenchmarkChoice(benchmark="r2h-v2", objects=objects))
-    scene = benchmark.evaluator(threads=1).scene
+    scene = Evaluator(benchmark, threads=1).scene
     trials = benchmark.trials(len(scene.objects), splits=["S1"])
     maps = predict_contacts(trials, scene, contacts=contacts).numpy()
     by_object = dict(zip(trials.object_index.tolist(), maps, strict=True))
@@ -71,14 +72,14 @@ def rates_by_category(folder: Path, word: str) -> dict[str, float]:
 def beside_the_others(folder: Path) -> list[dict[str, Any]]:
     """The pairs, over all trials, of Contact-Handover that never saw the category with each other method of Table I; Holm's
     correction is for all pairs of the table that has it in Contact-Handover's place."""
-    from r2h_batch.report.compare.stored import load_baselines, stored_rows
+    from r2h_batch.report.compare.stored import load_rows, stored_rows
     from r2h_batch.report.statistics.common import common_trials
     from r2h_batch.report.statistics.paired import compare, pair_up
     from r2h_batch.runs.store import load_run
 
     run = load_run(folder)
     (name,) = (e.name for e, word in zip(run.entries, WORDS.values(), strict=True) if word == WORDS["other_categories"])
-    runs = [run.only([name]), load_baselines(ROOT / SHIPPED).only(OTHERS)]
+    runs = [run.only([name]), load_rows(ROOT / SHIPPED).only(OTHERS)]
     paired = pair_up(runs, common_trials(runs, proven=stored_rows()))
     (whole,) = (c for c in compare(paired) if c.group == "all")
     return [asdict(pair) for pair in whole.pairs if pair.a == paired.names[0]]

@@ -243,12 +243,12 @@ def off_border(theirs: np.ndarray, ours: np.ndarray) -> int:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     import torch
 
-    from r2h_batch import load_benchmark
+    from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.observe import load_rig, look, moments
     from r2h_batch.observe.rays import bodies_of
 
     torch.set_num_threads(1)
-    evaluator = load_benchmark("r2h-v2").evaluator(threads=1)
+    evaluator = Evaluator(load_benchmark("r2h-v2"), threads=1)
     scene, rig, n = evaluator.scene, load_rig("cell-v1"), options.trials
     trials = evaluator.benchmark.trials(n // 2)
     bodies = bodies_of(scene)

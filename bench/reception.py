@@ -308,10 +308,11 @@ def markdown(data: dict[str, Any]) -> str:
 def measure(options: argparse.Namespace) -> dict[str, Any]:
     """All figures of the page, and its picture."""
     from r2h_batch import load_benchmark
+    from r2h_batch.report import load_baselines
     from r2h_batch.sweep.results.reception import render
 
     benchmark = load_benchmark()
-    bound, tables = judged(benchmark.baselines(), options.trials)
+    bound, tables = judged(load_baselines(benchmark), options.trials)
     torch.set_num_threads(1)
     return {
         "trials": options.trials,

@@ -201,10 +201,10 @@ def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> 
 
 def table_1() -> dict[str, object]:
     """README's Table I: rates and pairs of the shipped rows, turn tests of the benches."""
-    from r2h_batch.report.compare.stored import load_baselines
+    from r2h_batch.report.compare.stored import load_rows
 
     (shipped,) = (p.rows for p in PUBLISHED if p.name == "r2h-v2-as-planned")
-    run = load_baselines(ROOT / shipped)
+    run = load_rows(ROOT / shipped)
     table = families.table_of_run(run)
     bounds = [r for r in table["rows"] if r["method"] in families.BOUNDS]
     table["rows"] = [r for r in table["rows"] if r not in bounds] + bounds

@@ -39,15 +39,15 @@ COMMANDS = {
         "List methods, objects, robots, benchmarks or runs.",
     ),
     "benchmark": (
-        "protocols.command:COMMANDS",
+        "commands.benchmark:COMMANDS",
         "Show what a benchmark file may say, or check one.",
     ),
     "train": (
-        "learning.command:COMMANDS",
+        "commands.train:COMMANDS",
         "Train a method on new instances with the evaluator's labels.",
     ),
     "observe": (
-        "learning.observe_command:COMMANDS",
+        "commands.observe:COMMANDS",
         "Write what depth cameras see of new things, with labels, to learn from.",
     ),
     "view": (
@@ -75,7 +75,7 @@ COMMANDS = {
         "Compare a real robot with a run, and test people's ratings.",
     ),
     "compare": (
-        "report.compare.command:compare",
+        "commands.compare:compare",
         "Compare methods on the trials that they share.",
     ),
 }

@@ -85,8 +85,8 @@ class Evaluator(Prepared):
 
     Args:
         benchmark: what is judged (`load_benchmark`); None: the default benchmark.
-        config: how it is judged: planning and motion; None: the default preset. Its thresholds and
-            workplace must be defaults or equal the benchmark's.
+        config: how it is judged, planning and motion: a configuration, or a preset's name (`r2h-batch ls presets`);
+            None: the default preset. Its thresholds and workplace must be defaults or equal the benchmark's.
         device: `cpu`, `cuda` or `cuda:N`.
         threads: CPU threads of a call; None: all cores.
         plans_in: the cameras by whose images arms are planned (docs/pick.md, "What planning believes"); None: planning

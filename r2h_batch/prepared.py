@@ -18,8 +18,9 @@ from r2h_batch.base.launch import cpu_threads
 from r2h_batch.base.launch.memory import in_chunks, rows_at_once
 from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.base.launch.threads import on_threads, one_torch_thread
+from r2h_batch.base.registry import PRESET_NAMES
 from r2h_batch.base.table import of_lines
-from r2h_batch.base.validate import instance_of, optional, suggest_names
+from r2h_batch.base.validate import instance_of, one_of, optional, suggest_names
 from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.ik import build_tables
@@ -69,7 +70,7 @@ class Prepared(ABC):
     def __init__(
         self,
         benchmark: Benchmark | None = None,
-        config: EvalConfig | None = None,
+        config: EvalConfig | str | None = None,
         *,
         device: str | torch.device = "cpu",
         threads: int | None = None,
@@ -79,7 +80,9 @@ class Prepared(ABC):
         if isinstance(benchmark, EvalConfig):
             how += ", and Evaluator(config=EvalConfig(...)) for a configuration"
         optional(instance_of(Benchmark, how))("benchmark", benchmark)
-        optional(instance_of(EvalConfig, "EvalConfig() or EvalConfig.preset(NAME)"))(
+        if isinstance(config, str):
+            config = EvalConfig.preset(one_of(*PRESET_NAMES)("config", config))
+        optional(instance_of(EvalConfig, "EvalConfig(...) or the name of a preset"))(
             "config", config
         )
         cpu_threads(threads)

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 import torch
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.training import stream
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
@@ -61,7 +61,7 @@ def test_a_generators_pose_is_what_its_numbers_say_and_its_candidates_are_those_
     )
     torch.testing.assert_close(T_world_palm[:, None] @ read, item["T_world_ee"], atol=1e-5, rtol=0)
     benchmark = load_benchmark()
-    sampler = train_generator.Sampler(generator.Generator(), benchmark.evaluator(), benchmark.trials(3), seed=1)
+    sampler = train_generator.Sampler(generator.Generator(), Evaluator(benchmark), benchmark.trials(3), seed=1)
     (T_obj_ee, _), _, _ = sampler.generated(4)
     same = (T_obj_ee[:, :, None] == sampler.seen["candidates"][:, None]).all((-1, -2)) & sampler.seen["exists"][:, None]
     assert same.any(-1).all()

@@ -7,8 +7,10 @@ import pytest
 import torch
 import trimesh
 from problems import default_evaluator, make_batch
+from rounds import each
 
 from r2h_batch import load_benchmark
+from r2h_batch.base.registry import PRESET_NAMES
 from r2h_batch.config import OPEN_GAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.motion.time_law import time_path
@@ -94,3 +96,12 @@ def test_methods_choose_narrow_grasps_wherever_there_is_one(method):
     ]
     wide = {scene.objects[o].name for o, w in zip(trials.object_index.tolist(), across, strict=True) if w > OPEN_GAP_M}
     assert wide == {"bowl"}  # no candidate of it is narrow
+
+
+@pytest.mark.check
+def test_an_evaluator_takes_a_preset_by_its_name() -> None:
+    benchmark = load_benchmark("r2h-v0")
+    for name in each(PRESET_NAMES):
+        assert Evaluator(benchmark, name).config == Evaluator(benchmark, EvalConfig.preset(name)).config
+    with pytest.raises(ValueError, match="config is 'papers'; allowed are default, paper, release"):
+        Evaluator(benchmark, "papers")

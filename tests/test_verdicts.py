@@ -8,7 +8,7 @@ from r2h_batch import types, verdicts
 READERS = (
     "report.page",
     "runs.store",
-    "report.compare.command",
+    "commands.compare",
     "sweep.results.command",
     "sweep.results.rethreshold",
     "sweep.study.report",

@@ -65,8 +65,6 @@ CALLS = {
     "Benchmark": (Benchmark, lambda _: {f: getattr(_benchmark(), f) for f in Benchmark.__dataclass_fields__}),
     "Benchmark.trials": (lambda **k: _benchmark().trials(**k), lambda _: {"splits": ("S0",), "trials": 2}),
     "Benchmark.trials_with_ids": (lambda **k: _benchmark().trials_with_ids(**k), lambda _: {"trial_id": torch.arange(2)}),
-    "Benchmark.evaluator": (lambda **k: _benchmark().evaluator(**k), lambda _: {
-        "preset": "default", "device": "cpu", "threads": None}),
     "Benchmark.on": (lambda **k: _benchmark().on(**k), lambda _: {"robot": _benchmark().robot, "persons": "for-robot"}),
     "Benchmark.with_objects": (lambda **k: _benchmark().with_objects(**k), lambda _: {"objects": _benchmark().objects}),
     "Benchmark.with_people": (lambda **k: _benchmark().with_people(**k), lambda _: {"people": built_in_people("adults")}),
@@ -216,8 +214,8 @@ def test_an_argument_of_the_wrong_kind_is_named(name, tmp_path):
             "Benchmark.trials() has no argument 'trial', did you mean trials?",
         ),
         (
-            lambda: load_benchmark("r2h-v0").evaluator(divice="cpu"),
-            "did you mean device?; it has preset, device, threads",
+            lambda: Evaluator(load_benchmark("r2h-v0"), divice="cpu"),
+            "did you mean device?; it has benchmark, config, device, threads, plans_in",
         ),
         (lambda: default_evaluator().score(keep_motions=True), "'keep_motions', did you mean keep_motion?"),
         (lambda: default_evaluator().score_motion(times_s=3), "'times_s', did you mean time_s?"),

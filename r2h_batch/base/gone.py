@@ -1,4 +1,4 @@
-"""Names that r2h_batch 0.3 had and this version has not: commands, flags and options, each with what to use instead.
+"""Names that r2h_batch 0.3 had and this version has not: commands, flags, options and attributes, each with what to use instead.
 
 Who looks up a name that is unknown asks here too, so that an old command line is told what became of it. Imports nothing.
 """
@@ -32,10 +32,12 @@ GONE = {
     "results transfer": _NOBODY,
     "view --transfer": _NOBODY,
     "view --release": _NOBODY,
+    "Benchmark.evaluator": "write r2h_batch.Evaluator(benchmark, PRESET, device=..., threads=...)",
+    "Benchmark.baselines": "write r2h_batch.report.load_baselines(benchmark)",
     "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
 }
-"""A command with the word that went (`sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`, `--method NAME,OPTION`)
--> what to use instead."""
+"""A command with the word that went (`sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`, `--method NAME,OPTION`), or
+`Class.attribute` -> what to use instead."""
 
 
 def gone(name: str) -> str:

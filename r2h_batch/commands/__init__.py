@@ -1,1 +1,1 @@
-"""Commands that reach into several rooms, a file each. The others lie in the room that they are about."""
+"""Commands, a file each. Those of `sweep`, `results` and `study` lie in sweep/, `view` and `why` in view/."""

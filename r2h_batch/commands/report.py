@@ -74,7 +74,7 @@ def report(
         check_output_file(out, overwrite=overwrite)
     if gallery and out is not None:
         check_output_folder(_pages(out), overwrite=overwrite, flag="--out with its pages in")
-    from r2h_batch.report.compare.command import load_runs
+    from r2h_batch.commands.compare import load_runs
     from r2h_batch.report.compare.stored import stored_rows
     from r2h_batch.runs.store import join, load_run
 

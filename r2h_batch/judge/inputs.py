@@ -163,7 +163,7 @@ def check_benchmark(benchmark: Benchmark, trials: Trials) -> None:
         ours, theirs = benchmark.digest[:8], digest[:8]
         raise ValueError(
             f"these trials are of benchmark {name} ({theirs}), and {benchmark.name} ({ours}) is judged here; take trials of"
-            f" evaluator.benchmark.trials(...), or the evaluator of the benchmark that drew them: benchmark.evaluator()"
+            " evaluator.benchmark.trials(...), or an Evaluator of the benchmark that drew them"
         )
 
 

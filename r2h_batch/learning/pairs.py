@@ -72,11 +72,11 @@ class World:
         if source.regions:
             objects = with_regions(objects, source.regions)
         own = source.benchmark.with_objects(objects)
-        evaluator = own.evaluator(threads=1)
+        evaluator = Evaluator(own, threads=1)
         if none := without_candidates(evaluator.scene):
             held = tuple(o for i, o in enumerate(objects) if i not in none)
             own = source.benchmark.with_objects(held)
-            evaluator = own.evaluator(threads=1)
+            evaluator = Evaluator(own, threads=1)
         there = {o.split for o in own.objects}
         return cls(own, evaluator, tuple(k for k, s in enumerate(SPLITS) if s in there))
 

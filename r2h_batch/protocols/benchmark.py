@@ -19,8 +19,9 @@ from jaxtyping import Int64
 from numpy.typing import NDArray
 from torch import Tensor
 
+from r2h_batch.base.gone import gone
 from r2h_batch.base.io.progress import busy
-from r2h_batch.base.registry import LISTED, PRESET_NAMES
+from r2h_batch.base.registry import LISTED
 from r2h_batch.base.schedule import SEED, trial_ids
 from r2h_batch.base.validate import (
     instance_of,
@@ -34,17 +35,13 @@ from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.protocols.certified import Answers, Certified
-from r2h_batch.protocols.draw.rule import Rule
+from r2h_batch.protocols.draw.rule import Given, Rule
 from r2h_batch.protocols.trials_file import Labels, listed_with_ids
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import ASKED_NAMES, SPLITS, UNTIL
-
-if TYPE_CHECKING:
-    from r2h_batch.evaluate import Evaluator
-    from r2h_batch.runs.store import Run
 
 TRIALS = 500
 """Trials of a split in the published tables; more are the same rule run further."""
@@ -309,41 +306,13 @@ class Benchmark:
         placing = self
         if self.persons == "as-for-ur5e":
             placing = self.on(load_robot(DEFAULT_ROBOT), self.persons)
-        return self._own(self.rule.draw(placing, ids))
+        given = Given(
+            placing.objects, placing.hand_set, placing.people, placing.robot, placing.workplace, placing.thresholds, placing.seed
+        )  # fmt: skip
+        return self._own(self.rule.draw(given, ids, placing.redraws(ids)))
 
     def _own(self, trials: Trials) -> Trials:
         return trials.named(self.objects, benchmark=self.label)
-
-    @suggest_names
-    def evaluator(
-        self,
-        preset: str = "default",
-        *,
-        device: str | torch.device = "cpu",
-        threads: int | None = None,
-    ) -> Evaluator:
-        """The evaluator of this benchmark.
-
-        Args:
-            preset: how it judges: a name of `r2h-batch ls presets`. `Evaluator(benchmark, EvalConfig(...))`
-                takes any other configuration.
-            device: `cpu`, `cuda` or `cuda:N`.
-            threads: CPU threads of a call; None: all cores.
-        """
-        from r2h_batch.evaluate import Evaluator
-
-        one_of(*PRESET_NAMES)("preset", preset)
-        return Evaluator(self, EvalConfig.preset(preset), device=device, threads=threads)
-
-    def baselines(self) -> Run:
-        """The stored rows of the built-in methods on this benchmark.
-
-        Raises:
-            FileError: none are stored; the line says the command that makes them.
-        """
-        from r2h_batch.report.compare.stored import baselines_of, load_baselines
-
-        return load_baselines(baselines_of(self.digest, self.name), verify=False)
 
     def on(self, robot: Robot, persons: Literal["for-robot", "as-for-ur5e"] = "for-robot") -> Self:
         """The same benchmark for another robot, which starts at its own home.
@@ -441,6 +410,13 @@ class Benchmark:
         )
         who = "hands alone" if not self.has_bodies else f"receiver {self.receiver}"
         return f"Benchmark({self.name}: {counts}, {len(self.hand_set)} hands, {who}, {self.robot.name})"
+
+    if not TYPE_CHECKING:  # else any name would pass
+
+        def __getattr__(self, name: str) -> Any:
+            if told := gone(f"Benchmark.{name}"):
+                raise AttributeError(told)
+            return object.__getattribute__(self, name)  # says that there is none
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Stored objects and the built-in hands travel by name."""

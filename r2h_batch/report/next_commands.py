@@ -6,8 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.report.compare.command import BASELINES
-from r2h_batch.report.compare.stored import baselines_for, stored_rows
+from r2h_batch.report.compare.stored import BASELINES, baselines_for, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.runs.store import Run, load_run
 

@@ -52,7 +52,6 @@ NOT_FOLLOWED = {
     ("*", "base.command_line"): "says what was wrong with a command line",
     ("*", "base.io.log"): "prints lines",
     ("*", "base.loggers"): "sends finished tables to experiment trackers",
-    ("protocols.benchmark", "report.compare.stored"): "a benchmark offers the shipped rows",
     ("sweep.jobs", "report.trained"): "the word under which a method's TRAINED_ON is stored",
     ("closed_loop.registered", "view.environment"): "draws an episode",
 }

@@ -60,11 +60,11 @@ def test_missing_files_are_announced_and_compiled_once(tmp_path):
 POSE = """
 import sys
 import torch
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 benchmark = load_benchmark("r2h-v0")
 trials = benchmark.trials(1)[:1]
 pose = torch.eye(4)[None]
-benchmark.evaluator().score(pose, trials.T_world_hand, trials, stages="pose")
+Evaluator(benchmark).score(pose, trials.T_world_hand, trials, stages="pose")
 print(*sorted(sys.modules))
 """
 

@@ -176,7 +176,7 @@ def test_motions_in_degrees_or_milliseconds_are_told(solved, fresh, of_q, of_tim
 @pytest.mark.parametrize("name", ["r2h-v0", "r2h-release"])
 @pytest.mark.parametrize("hand", ["true", "estimated"])
 def test_the_hands_pose_in_place_of_the_ees_is_named(name, hand):
-    evaluator = load_benchmark(name).evaluator(threads=1)
+    evaluator = Evaluator(load_benchmark(name), threads=1)
     trials = evaluator.benchmark.trials(6)
     T = trials.T_world_hand if hand == "true" else predict_target(trials, evaluator.scene, seed=0).T.float()
     assert (hand == "true") == torch.equal(T, trials.T_world_hand)
@@ -190,7 +190,7 @@ def test_the_hands_pose_in_place_of_the_ees_is_named(name, hand):
 @pytest.mark.parametrize("of_the_hand", ["its turn", "not its turn"])
 def test_the_palm_in_place_of_the_ees_position_is_named(name, of_the_hand):
     """Turned about the base, such rows pass Safe since they are nowhere near the hand: that is no evidence."""
-    evaluator = load_benchmark(name).evaluator(threads=1)
+    evaluator = Evaluator(load_benchmark(name), threads=1)
     trials = evaluator.benchmark.trials(6)
     answer = random.predict(trials, evaluator.scene, seed=0)
     T = (trials.T_world_hand if of_the_hand == "its turn" else answer.T_world_ee).clone()
@@ -274,7 +274,7 @@ def test_a_benchmark_with_more_criteria_has_hints_too():
 
 def test_a_grasp_given_where_the_object_rests_is_told_on_a_benchmark_that_begins_at_the_table():
     draft = load_benchmark("r2h-v3-draft").until("present")
-    evaluator, trials = draft.evaluator(), draft.trials(4)
+    evaluator, trials = Evaluator(draft), draft.trials(4)
     known = load_benchmark("r2h-v3-draft").certificates(trials.trial_id.numpy())
     grasp, pose = (torch.from_numpy(np.array(x)) for x in (known.T_obj_ee, known.T_world_ee))
     on_table = se3.matmul(moments(evaluator.scene, trials), grasp)

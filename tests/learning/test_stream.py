@@ -11,7 +11,7 @@ from rounds import each
 from scipy.optimize import linprog
 from torch.utils.data import DataLoader
 
-from r2h_batch import load_benchmark, reward
+from r2h_batch import Evaluator, load_benchmark, reward
 from r2h_batch.learning.instances import split, training_objects
 from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs
 from r2h_batch.learning.regions import with_regions
@@ -61,7 +61,7 @@ def test_an_items_tensors_have_memory_of_their_own(pairs):
 
 
 def test_labels_and_margins_are_what_score_says_of_these_poses_and_trials(pairs):
-    evaluator = pairs.benchmark.evaluator()
+    evaluator = Evaluator(pairs.benchmark)
     for item in each(islice(pairs, 2)):
         trials = pairs.benchmark.trials_with_ids(item["trial_id"])
         scores = evaluator.score(item["T_obj_ee"], item["T_world_ee"], trials, stages="pose")

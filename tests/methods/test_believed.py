@@ -12,7 +12,7 @@ from rays_twin import RIG, cell
 from rounds import each
 from scipy.spatial import ConvexHull, cKDTree
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig
 from r2h_batch.methods import believed, contact, fc, handover_va, random, robust
@@ -164,7 +164,7 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, 
     answers = []
     for benchmark in each((scene.benchmark, boxes_in_place_of(scene.benchmark))):
         forget()
-        judge = benchmark.evaluator()
+        judge = Evaluator(benchmark)
         options = {"seed": 0}
         looks = Looks(Sees.parse("cell-v1"), judge)
         method = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), options, looks)
@@ -173,7 +173,7 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, 
         assert torch.equal(getattr(answers[0], name), getattr(answers[1], name))
     assert (seen.region is None) == (region == "hidden")
     # the test can fail: other images give other answers
-    looks = Looks(Sees.parse("cell-v1"), benchmark.evaluator())
+    looks = Looks(Sees.parse("cell-v1"), Evaluator(benchmark))
     other = SeeingMethod.built_in("fc", fc.predict, ("receiving", "target"), {"seed": 0}, looks)
     monkeypatch.setattr(Sees, "look", lambda self, scene, trials: (view(0.0)[rows], T_world_obj))
     assert not torch.equal(other.predict(some).T_obj_ee, answers[0].T_obj_ee)
@@ -182,7 +182,7 @@ def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, 
 @pytest.mark.parametrize(("method", "shown"), [(random, ()), (handover_va, ("parts", "target"))])
 def test_exact_images_of_known_objects_give_the_answers_and_verdicts_of_the_same_objects_and_hands_told(method, shown):
     scene, trials, _ = cell()
-    judge, known = scene.benchmark.evaluator(), believed.known_before(scene.benchmark)
+    judge, known = Evaluator(scene.benchmark), believed.known_before(scene.benchmark)
     sees = Sees.parse("cell-v1,noise=0,model=known,object=none")
     told = SeeingMethod.built_in(method.__name__, method.predict, shown, {"seed": 0}, Looks(sees, judge)).predict(
         trials
@@ -278,7 +278,7 @@ def test_a_told_region_moves_answers_of_its_own_trials_alone():
 def test_with_a_told_region_the_search_leaves_it_to_the_receiver():
     scene, trials, T = cell()
     rows = torch.arange(4, 8)
-    judge, failed = scene.benchmark.evaluator(), {}
+    judge, failed = Evaluator(scene.benchmark), {}
     for region in each(("hidden", "told")):
         grasp, handover, _ = asked(robust, shown=(), draws=0).ask(view(0.0, None, region)[rows])
         T_obj_ee = se3.matmul(se3.inverse(T[rows].double()), grasp).float()

@@ -7,7 +7,7 @@ import torch
 from rounds import each
 from scipy.spatial import cKDTree
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.observe.believed_world import ROOM_M, believed_world
 from r2h_batch.observe.estimates import believed_receiver
 from r2h_batch.observe.known import known_moments
@@ -17,7 +17,7 @@ from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 
 @cache
 def scene():
-    return load_benchmark("r2h-v3-draft").evaluator().scene
+    return Evaluator(load_benchmark("r2h-v3-draft")).scene
 
 
 def world(sees, n=6):

@@ -9,7 +9,7 @@ from rays_twin import RIG, cell, depth_of_bodies, expected, robot_of_mujoco, tri
 from rounds import each
 from scipy.spatial import cKDTree
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base.errors import UserError
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import Workplace
@@ -252,7 +252,7 @@ def test_objects_find_places_on_the_table_of_a_small_arm_and_those_of_larger_arm
     small = usual.on(load_robot("ur3e_2f85"))
     reach = load_robot("ur3e_2f85").reach_m / load_robot("ur5e_2f85").reach_m
     assert region_scale(small.workplace) == pytest.approx(reach)
-    scene, trials = small.evaluator().scene, small.trials(12)
+    scene, trials = Evaluator(small).scene, small.trials(12)
     for i, T in each(enumerate(moments(scene, trials).double().numpy())):
         v = scene.objects[int(trials.object_index[i])].vertices @ T[:3, :3].T + T[:3, 3]
         middle = 0.5 * (v.min(0) + v.max(0)) / reach

@@ -8,7 +8,7 @@ import pytest
 import torch
 import trimesh
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.config import Thresholds
@@ -112,7 +112,7 @@ def test_the_arm_starts_at_the_benchmarks_home_beside_its_table(tmp_path):
     home = [0.5, -1.6, 1.4, -1.3, -1.6, 1.0]
     path = written(tmp_path, f"home: {home}\nobjects: [{{built_in: cup}}]\n")
     benchmark = load_benchmark(path)
-    evaluator = benchmark.evaluator().kinematic
+    evaluator = Evaluator(benchmark).kinematic
     trials = benchmark.trials(6, splits="S0")
     T_world_ee = torch.from_numpy(ee_pose(load_robot(), home)).float().repeat(6, 1, 1)
     T_world_ee[:, 2, 3] += 0.05
@@ -124,7 +124,7 @@ def test_the_arm_starts_at_the_benchmarks_home_beside_its_table(tmp_path):
     assert (scores.q_goal[moved] - torch.tensor(home)).abs().max() < 0.5
     table = "table: {center: [0.4, 0, 0.6], half: [0.4, 0.4, 0.2]}"
     high = read_benchmark(written(tmp_path, f"{table}\nobjects: [{{built_in: cup}}]"))
-    blocked = high.evaluator().kinematic
+    blocked = Evaluator(high).kinematic
     scores = blocked.score(T_obj_ee, T_world_ee, trials.named(high.objects))
     assert (scores.plan_reason == int(PlanReason.START_IN_COLLISION)).all()
     assert set(scores.plan_pair.tolist()) <= {int(p) for p in CollidingPair if "TABLE" in p.name}

@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 
 from packaging.requirements import Requirement
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAMS = ("r2h-batch", "make", "python", "pip", "git", "docker", "hf", "ray", "scp", ".")
@@ -273,7 +273,7 @@ def poses(reader: Reader) -> None:
     from r2h_batch.methods.random import predict
 
     benchmark = load_benchmark()
-    evaluator, trials = benchmark.evaluator(), benchmark.trials(2)
+    evaluator, trials = Evaluator(benchmark), benchmark.trials(2)
     answer = predict(trials, evaluator.scene)
     q = torch.tensor(evaluator.scene.robot.home_q, dtype=torch.float32).expand(len(trials), 2, -1)
     reader.names |= {"T_obj_ee": answer.T_obj_ee, "T_world_ee": answer.T_world_ee, "k": 1}
@@ -369,7 +369,7 @@ PLACEHOLDERS = {"RUN": "runs/demo", "OTHER": "runs/mine", "FOLDER": "files", "FI
 
 def warm() -> None:
     """Imports and kernels that most pages need: once, and not in every page's process."""
-    from r2h_batch import EvalConfig, Evaluator
+    from r2h_batch import EvalConfig
     from r2h_batch.__main__ import command_of
     from r2h_batch.config import ExecConfig
     from r2h_batch.methods.random import predict

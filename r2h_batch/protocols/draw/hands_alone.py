@@ -15,8 +15,8 @@ from r2h_batch.protocols.draw.rule import POSE, Batch, Placed
 
 def place_hands_alone(batch: Batch) -> Placed:
     """Each hand at the first proposal of its trial that lies in the reachable set."""
-    hands, robot, at = batch.hands, batch.benchmark.robot, batch.benchmark.workplace
-    offset_m = batch.benchmark.thresholds.reach_offset_m
+    hands, robot, at = batch.hands, batch.given.robot, batch.given.workplace
+    offset_m = batch.given.thresholds.reach_offset_m
 
     def propose(
         rows: NDArray[np.int64], attempt: int | NDArray[np.int64]

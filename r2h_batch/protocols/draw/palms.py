@@ -35,7 +35,7 @@ D4_M, D5_M, D6_M = 0.1333, 0.0997, 0.0996
 
 def place_palms(batch: Batch) -> Placed:
     """Hands whose palms lie in the release's box."""
-    objects, hands, hand = batch.benchmark.objects, batch.hands, batch.hand_index
+    objects, hands, hand = batch.given.objects, batch.hands, batch.hand_index
     offset = np.array([reference_offset(o) for o in objects])[batch.object_index]
     world, palm = draw_palms(batch.key, batch.trial_id, offset)
     n, a = hands.palm_normal[hand], hands.along[hand]

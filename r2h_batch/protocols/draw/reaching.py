@@ -24,15 +24,15 @@ from r2h_batch.protocols.draw.rule import Batch, Placed
 
 def place_reaching(batch: Batch) -> Placed:
     """Hands on the arms of people who stand or sit behind the table's front edge."""
-    benchmark = batch.benchmark
-    people, edge_m = benchmark.people, _table_edge_m(benchmark.workplace)
+    given = batch.given
+    people, edge_m = given.people, _table_edge_m(given.workplace)
     if people is None:
         side = batch.hands.side[batch.hand_index]
         placing = _placing(batch.hand_index, batch)
         return Placed(*receivers.draw_receivers(batch.key, batch.trial_id, side, placing, edge_m))
     return Placed(
         *draw_people(
-            batch.key, batch.trial_id, batch.side, batch.hand_index, owners(people, benchmark.hand_set),
+            batch.key, batch.trial_id, batch.side, batch.hand_index, owners(people, given.hand_set),
             partial(_placing_people, batch=batch), edge_m,
         )
     )  # fmt: skip
@@ -45,8 +45,8 @@ def _table_edge_m(at: Workplace) -> float:
 
 def _placing(hand_index: NDArray[np.int64], batch: Batch) -> receivers.PlaceHand:
     """Whether a proposal of a trial with these hands (n,) fits, as `receivers.draw_receivers` takes it."""
-    hands, robot, at = batch.hands, batch.benchmark.robot, batch.benchmark.workplace
-    offset_m = batch.benchmark.thresholds.reach_offset_m
+    hands, robot, at = batch.hands, batch.given.robot, batch.given.workplace
+    offset_m = batch.given.thresholds.reach_offset_m
 
     def place_hand(
         people: receivers.Person, rows: NDArray[np.int64], number: NDArray[np.int64]

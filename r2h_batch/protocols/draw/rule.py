@@ -7,9 +7,9 @@ alone or among a million, on any machine.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -17,11 +17,13 @@ from numpy.typing import NDArray
 
 from r2h_batch.base import rng
 from r2h_batch.base.schedule import assign_hands, assign_objects
+from r2h_batch.config import Thresholds, Workplace
+from r2h_batch.data.people import People
 from r2h_batch.protocols.draw.reachable_set import PosedHands, posed_hands
+from r2h_batch.scene.hand import HandSet
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot
 from r2h_batch.types import PERSON, Trials
-
-if TYPE_CHECKING:
-    from r2h_batch.protocols.benchmark import Benchmark
 
 POSE = 1
 """Purpose of the random counters of a hand's pose; `base.schedule` has 0, receivers and people 2 to 4."""
@@ -30,11 +32,24 @@ ROWS = 16384
 
 
 @dataclass(frozen=True, eq=False)
+class Given:
+    """What a rule draws from: fields of a `Benchmark` of these names."""
+
+    objects: Sequence[ObjectModel]
+    hand_set: HandSet
+    people: People | None
+    robot: Robot
+    workplace: Workplace
+    thresholds: Thresholds
+    seed: str
+
+
+@dataclass(frozen=True, eq=False)
 class Batch:
     """Trials whose hands a rule is to place.
 
     Attributes:
-        benchmark: whose objects, hands, robot, table and home they are.
+        given: objects, hands, people, robot, table and home, limits.
         key: of the random counters.
         trial_id: (n,).
         side: (n,) sides of the hands that the schedule wants: 0 right, 1 left.
@@ -42,7 +57,7 @@ class Batch:
         object_index: (n,) places among the objects.
     """
 
-    benchmark: Benchmark
+    given: Given
     key: tuple[int, int]
     trial_id: NDArray[np.int64]
     side: NDArray[np.int64]
@@ -51,8 +66,8 @@ class Batch:
 
     @property
     def hands(self) -> PosedHands:
-        """The benchmark's hands as float64 arrays in their own frames."""
-        return posed_hands(self.benchmark.hand_set)
+        """The hands as float64 arrays in their own frames."""
+        return posed_hands(self.given.hand_set)
 
 
 class Placed(NamedTuple):
@@ -96,38 +111,36 @@ class Rule:
     place: Callable[[Batch], Placed]
     bodies: bool = False
 
-    def draw(self, benchmark: Benchmark, trial_id: NDArray[np.int64]) -> Trials:
+    def draw(self, given: Given, trial_id: NDArray[np.int64], redraws: NDArray[np.int64]) -> Trials:
         """The trials of these ids, in this order, on the CPU.
 
         Args:
-            benchmark: its objects, hands, people, robot and workplace.
+            given: objects, hands, people, robot and workplace.
             trial_id: (N,) int64, 0 or more.
+            redraws: (N,) how often each trial was drawn again (`Benchmark.redraws`).
 
         Raises:
             ValueError: a trial's split has no object, or no hand fits table and home.
         """
-        seed = f"{self.name} {benchmark.seed}" if benchmark.seed else self.name
-        redraws = benchmark.redraws(trial_id)
+        seed = f"{self.name} {given.seed}" if given.seed else self.name
         if not redraws.any():
-            return self._drawn(benchmark, trial_id, seed, 0)
+            return self._drawn(given, trial_id, seed, 0)
         counts = np.unique(redraws).tolist()
         groups = [np.flatnonzero(redraws == k) for k in counts]
         parts = [
-            self._drawn(benchmark, trial_id[rows], again(seed, k), k)
+            self._drawn(given, trial_id[rows], again(seed, k), k)
             for k, rows in zip(counts, groups, strict=True)
         ]
         order = torch.from_numpy(np.argsort(np.concatenate(groups)))
         tensors = [p._tensors() for p in parts]
         return Trials(**{k: torch.cat([t[k] for t in tensors])[order] for k in tensors[0]})
 
-    def _drawn(
-        self, benchmark: Benchmark, trial_id: NDArray[np.int64], seed: str, redraws: int
-    ) -> Trials:
+    def _drawn(self, given: Given, trial_id: NDArray[np.int64], seed: str, redraws: int) -> Trials:
         """`draw` with the random counters of a seed; the object is as many turns on as there were redraws."""
-        n, people = len(trial_id), benchmark.people
+        n, people = len(trial_id), given.people
         turn = trial_id + 2 * redraws  # of the same split
-        object_index, side = assign_objects(turn, [o.split for o in benchmark.objects])
-        hand_index, sides = np.zeros(n, np.int64), posed_hands(benchmark.hand_set).side
+        object_index, side = assign_objects(turn, [o.split for o in given.objects])
+        hand_index, sides = np.zeros(n, np.int64), posed_hands(given.hand_set).side
         T_world_hand = np.zeros((n, 4, 4), np.float32)
         receiver = np.zeros((n if self.bodies else 0, 5, 4), np.float32)
         person = np.zeros((0 if people is None else n, len(PERSON)), np.float32)
@@ -135,12 +148,12 @@ class Rule:
             rows = slice(first, first + ROWS)
             hand_index[rows] = assign_hands(trial_id[rows], side[rows], sides, seed)
             batch = Batch(
-                benchmark, rng.key_of(seed), trial_id[rows], side[rows], hand_index[rows], object_index[rows]
+                given, rng.key_of(seed), trial_id[rows], side[rows], hand_index[rows], object_index[rows]
             )  # fmt: skip
             try:
                 placed = self.place(batch)
             except rng.NothingFits as error:
-                place = benchmark.workplace
+                place = given.workplace
                 raise ValueError(
                     f"no place for a hand where {self.name} draws them: {error}. Table (center {place.table_center}, half"
                     f" {place.table_half} m), arm at home or reach_offset_m leave none; change these, or list trials"

@@ -9,7 +9,11 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 
 if TYPE_CHECKING:
+    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.runs.store import Run
+
+BASELINES = "baselines"
+"""The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
 
 SHIPPED = Path(__file__).parent / "rows"
 """Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--sim none`.
@@ -77,8 +81,20 @@ def baselines_of(digest: str | None, name: str) -> Path:
     return (simulated or found)[0]
 
 
-def load_baselines(folder: Path, *, verify: bool = True) -> "Run":
-    """A run, and beside a shipped one the rows of built-in methods that came later.
+def load_baselines(benchmark: "Benchmark") -> "Run":
+    """The stored rows of the built-in methods on a benchmark.
+
+    Args:
+        benchmark: such as `load_benchmark(NAME)`.
+
+    Raises:
+        FileError: none are stored; the line says the command that makes them.
+    """
+    return load_rows(baselines_of(benchmark.digest, benchmark.name), verify=False)
+
+
+def load_rows(folder: Path, *, verify: bool = True) -> "Run":
+    """A stored run, and beside a shipped one the rows of built-in methods that came later.
 
     Args:
         folder: a run folder, such as `baselines_for` gives.

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from rounds import each
 
-from r2h_batch import load_benchmark
+from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.assets.families.build_families import LEARNED
 from r2h_batch.assets.families.train_contacts import STEPS
 from r2h_batch.assets.receiving.contact_maps import contact_map, touched_points
@@ -71,7 +71,7 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch()
 
 def test_an_object_can_be_shown_to_a_network_that_never_saw_its_category() -> None:
     benchmark = load_benchmark("r2h-v1").with_objects(load_objects(["hammer_02", "bowl", "cup_01"]))
-    scene = benchmark.evaluator().scene
+    scene = Evaluator(benchmark).scene
     trials = benchmark.trials(4)
     found, known = (predict_contacts(trials, scene, contacts=c) for c in ("other-categories", "left-out"))
     for row, o in each(enumerate(trials.object_index.tolist())):
@@ -82,7 +82,7 @@ def test_an_object_can_be_shown_to_a_network_that_never_saw_its_category() -> No
         assert not torch.equal(found[row], known[row])
     mine = replace(scene.objects[0], category=None, words=None)  # of no family: nobody has seen its like
     alone = benchmark.with_objects([mine])
-    seen = predict_contacts(alone.trials(1, splits=["S1"]), alone.evaluator().scene, contacts="other-categories")[0]
+    seen = predict_contacts(alone.trials(1, splits=["S1"]), Evaluator(alone).scene, contacts="other-categories")[0]
     at, grid = tuple(voxel_of_points(mine).T), contact_grids([mine])
     every = torch.stack([load_unseen(g[0])(grid)[0][at] for g in LEFT_OUT])
     # an answer of 0 or 1 may be a sum that was cut off, and an empty voxel has the answers around it

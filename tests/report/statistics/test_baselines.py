@@ -15,7 +15,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_baselines, stored_rows
+from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_baselines, load_rows, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
 from r2h_batch.runs.rows import TrialNames, score_rows
@@ -33,7 +33,7 @@ def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     # trained for the default benchmark; its rows stand beside the others'. The robust search is a bound
     # for methods that see errors; these rows have none
     later = {"learned"} if run.header["protocol"] == DEFAULT_PROTOCOL else set()
-    assert functions(load_baselines(folder)) == functions(run) | {named(m) for m in later}
+    assert functions(load_rows(folder)) == functions(run) | {named(m) for m in later}
 
 
 def functions(run) -> set[str]:
@@ -74,7 +74,7 @@ def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_
     assert "baselines/random" in text and ".." not in text and "as-planned" not in text
     assert main(["report", str(tmp_path / "mine"), "baselines", "--format", "csv"]) == 0
     assert "Contact-Handover" in capsys.readouterr().out
-    baselines = load_benchmark().baselines()
+    baselines = load_baselines(load_benchmark())
     assert len(baselines.methods) == 7 and "learned" in baselines.view_command(
         "Learned (ranker, oracle labels + noise)"
     )
@@ -113,12 +113,12 @@ def test_stored_rows_of_another_preset_are_no_baselines_and_those_of_the_same_en
 
 def test_a_benchmark_knows_its_stored_rows_by_digest_simulated_ones_of_the_default_preset():
     v1, v0 = load_benchmark("r2h-v1"), load_benchmark("r2h-v0")
-    assert v1.baselines().folder.name == "v1" and v0.baselines().folder.name == "v0"
-    assert replace(v1, name="mine").baselines().folder.name == "v1"
+    assert load_baselines(v1).folder.name == "v1" and load_baselines(v0).folder.name == "v0"
+    assert load_baselines(replace(v1, name="mine")).folder.name == "v1"
     with pytest.raises(FileError, match="no rows of the built-in methods are stored for benchmark r2h-v1"):
-        replace(v1, receiver="body").baselines()
+        load_baselines(replace(v1, receiver="body"))
     with pytest.raises(FileError, match="stored for benchmark r2h-release"):  # its rows are of another preset
-        load_benchmark("r2h-release").baselines()
+        load_baselines(load_benchmark("r2h-release"))
 
 
 def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_path, capsys, monkeypatch):

@@ -12,14 +12,17 @@ from r2h_batch.base.command_line import check_seed
 from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
-from r2h_batch.report.compare.stored import baselines_for, is_stored, load_baselines, stored_rows
+from r2h_batch.report.compare.stored import (
+    BASELINES,
+    baselines_for,
+    is_stored,
+    load_rows,
+    stored_rows,
+)
 from r2h_batch.report.statistics.few import FEW, check_few
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
-
-BASELINES = "baselines"
-"""The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
 
 
 def compare(
@@ -119,7 +122,7 @@ def load_runs(words: Sequence[Path], method: Sequence[str] = ()) -> "list[Run]":
     # a folder of the word's name comes before the shipped baselines
     own = {r: load_run(r) for r in words if str(r) != BASELINES or r.exists()}
     like = next(iter(own.values())).header if own else None
-    stored = [own[r] if r in own else load_baselines(baselines_for(like)) for r in words]
+    stored = [own[r] if r in own else load_rows(baselines_for(like)) for r in words]
     return _chosen(stored, method) if method else stored
 
 
