@@ -37,7 +37,9 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
-    "r2h_batch/prepared.py",
+    "r2h_batch/launching.py",
+    "r2h_batch/stages.py",
+    "r2h_batch/work.py",
 )
 ASK = ("speed", "models", "auto", "parity", "tracking", "batches")
 TIP_M = np.array([0.0, 0.0, 0.02, 1.0])  # fingertips in the ee frame

@@ -36,7 +36,14 @@ SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planne
 STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
 MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+    *(
+        "r2h_batch/trials",
+        "r2h_batch/protocols",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 METHODS = ("fc", "handover-va", "contact", "intent")
 BOUNDS = ("random", "oracle")

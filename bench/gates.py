@@ -14,7 +14,14 @@ TRIALS = 240
 FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
 MEASURES = (
     *("bench/gates.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+    *(
+        "r2h_batch/trials",
+        "r2h_batch/protocols",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 
 

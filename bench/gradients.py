@@ -25,7 +25,14 @@ from r2h_batch.methods import random
 
 MEASURES = (
     *("bench/gradients.py", "examples/refine_poses.py", "kernels", "r2h_batch/judge", "r2h_batch/scene"),
-    *("r2h_batch/training", "r2h_batch/base/launch", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+    *(
+        "r2h_batch/training",
+        "r2h_batch/base/launch",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 SIZES = {1: 200, 2048: 7}
 """Candidates of a call -> pairs of calls."""

@@ -69,7 +69,9 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/closed_loop",
     "r2h_batch/evaluate.py",
-    "r2h_batch/prepared.py",
+    "r2h_batch/launching.py",
+    "r2h_batch/stages.py",
+    "r2h_batch/work.py",
 )
 
 

@@ -33,7 +33,15 @@ if TYPE_CHECKING:
 STORED, PAGE = ROOT / "bench" / "results" / "learn.json", ROOT / "docs" / "results" / "learned.md"
 MEASURES = (
     *("bench/learn.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/learning", "r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py"),
+    *(
+        "r2h_batch/learning",
+        "r2h_batch/trials",
+        "r2h_batch/protocols",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 FOLDS = (
     ("cup", "headphones", "bottle", "power_drill"),

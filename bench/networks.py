@@ -29,7 +29,14 @@ TRIALS = 500
 FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
 MEASURES = (
     *("bench/networks.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+    *(
+        "r2h_batch/trials",
+        "r2h_batch/protocols",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 
 

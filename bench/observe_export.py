@@ -15,7 +15,7 @@ FAMILIES, PAIRS, FIRST = "* x 5 seed 5", 16, 8
 """As `observe export` takes them; trials of the shard that is not measured."""
 MEASURES = (
     *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/learning", "r2h_batch/methods/oracle.py"),
-    *("r2h_batch/evaluate.py", "r2h_batch/judge"),
+    *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py", "r2h_batch/judge"),
 )  # fmt: skip
 
 

@@ -39,7 +39,9 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
-    "r2h_batch/prepared.py",
+    "r2h_batch/launching.py",
+    "r2h_batch/stages.py",
+    "r2h_batch/work.py",
 )
 REPEATS = 3
 

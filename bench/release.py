@@ -46,7 +46,9 @@ MEASURES = (
     "r2h_batch/scene",
     "r2h_batch/base/launch",
     "r2h_batch/evaluate.py",
-    "r2h_batch/prepared.py",
+    "r2h_batch/launching.py",
+    "r2h_batch/stages.py",
+    "r2h_batch/work.py",
 )
 SAMPLES = 3
 """Samples of an executed motion at which flags are compared: their evaluator takes a sixth of a second for each."""

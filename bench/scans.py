@@ -27,7 +27,14 @@ SETS = ("scanned", "scans")
 """The sets of the page, in its order: bench/SET.toml."""
 MEASURES = (
     *("bench/scans.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
-    *("r2h_batch/trials", "r2h_batch/protocols", "r2h_batch/evaluate.py", "r2h_batch/prepared.py"),
+    *(
+        "r2h_batch/trials",
+        "r2h_batch/protocols",
+        "r2h_batch/evaluate.py",
+        "r2h_batch/launching.py",
+        "r2h_batch/stages.py",
+        "r2h_batch/work.py",
+    ),
 )
 UNSEEN = "contact,contacts=other-categories"
 WORDS = {

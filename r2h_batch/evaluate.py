@@ -1,85 +1,62 @@
 """The Evaluator: a batch of handovers in, verdicts with margins and reasons out.
 
-A row passes these stages in this order. Their files stand in `r2h_batch.judge`:
-
-| stage | file | result |
-|---|---|---|
-| inputs | `inputs`, `object_errors`, `execution_error` | poses and trials that fit; poses as a robot with errors reaches them |
-| grasp | `attach`, `grasp_physics` | the object in the gripper: invalid rows, Stability's margin, poses of all bodies |
-| pick | `pick` | whether the arm gets the object from the table, where the benchmark asks for it |
-| IK | `ik` | every branch of the arm that reaches the handover pose |
-| plan | `plan` | a path without collision to one of the branches, from home or from where the object is lifted |
-| motion | `motion.time_law`, `motion.execute` | the path with times, as the arm executes it |
-| clearance | `distance` | where the robot is nearest to the receiver |
-| verdict | `metrics`, `scores` | five criteria with margins, and Pick where the benchmark asks for it; one outcome |
-| giving | `reception`, `received` | whether the person can take it, where the benchmark asks |
-
-`_score_planned` runs all stages. `_score_pose` has the goal posture (`goal`) in place of a path, and
-`_score_trace` has a motion that the caller gives. `prepared.py` has the rest: construction, copies, chunks of rows, memory.
+It checks what it is given and hands it on. `stages` is the judge, `launching` brings rows there, `judge.inputs` has the
+checks of tensors, `judge.conventions` the hints about mistaken conventions.
 """
 
 import copy
-import time
 import warnings
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
-from functools import partial
-from typing import TYPE_CHECKING
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, Any, Self
 
 import torch
 from jaxtyping import Float, Float32, Int
 from torch import Tensor
 
-from r2h_batch.base import se3
+from r2h_batch import launching
 from r2h_batch.base.io.progress import busy
-from r2h_batch.base.launch.memory import in_chunks
-from r2h_batch.base.validate import instance_of, suggest_names
-from r2h_batch.config import EvalConfig
-from r2h_batch.judge import metrics
-from r2h_batch.judge.attach import AttachedBatch, attach_object
+from r2h_batch.base.launch import cpu_threads
+from r2h_batch.base.launch.repeated import RepeatedCalls
+from r2h_batch.base.launch.threads import on_threads, one_torch_thread
+from r2h_batch.base.registry import PRESET_NAMES
+from r2h_batch.base.table import of_lines
+from r2h_batch.base.validate import instance_of, one_of, optional, suggest_names
+from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.judge.compile import compile_stages
-from r2h_batch.judge.distance import (
-    NearestApproach,
-    hand_distance,
-    hand_distance_at,
-    nearer_of,
-    over_motion,
-    person_distance,
-    person_distance_at,
-)
-from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
-from r2h_batch.judge.ik import IkResult, home_posture, nearest_turns, one_branch, solve_ik
+from r2h_batch.judge.execution_error import executed_poses
+from r2h_batch.judge.ik import build_tables
 from r2h_batch.judge.inputs import (
+    KnownInputs,
     Stages,
+    check_asks,
     check_benchmark,
     check_indices,
     check_receiver,
+    check_stages,
     checked_inputs,
     warn_of_doubts,
     warn_of_no_gradient,
+    warn_of_payload,
 )
-from r2h_batch.judge.presented import presented
-from r2h_batch.judge.scores import motion_scores, not_given, pose_fields, pose_scores, verdict
-from r2h_batch.prepared import Prepared
-from r2h_batch.scene.person import with_person
-from r2h_batch.scene.scene import BodyPoses, Scene
+from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.scene.scene import Scene
+from r2h_batch.stages import BELIEVED, BELIEVED_PICKS, LAST, PICKS, PLANNED, POSE, TRACE
 from r2h_batch.training import torch_op
-from r2h_batch.training.gradients import differentiable
-from r2h_batch.types import GivenScores, PlanReason, ScoreInputs, Scores, Trials
+from r2h_batch.training.capture import Captured, check_capture
+from r2h_batch.training.gradients import asks_gradients, differentiable
+from r2h_batch.types import ScoreInputs, Scores, Trials
+from r2h_batch.work import Work
 
 if TYPE_CHECKING:
     from r2h_batch.judge.pick import Picked
-    from r2h_batch.judge.plan import Plan
-    from r2h_batch.judge.trace import Trace
-
-# Stages of paths and motions are imported where they are called: with their kernels and MuJoCo they
-# would take a fifth of the time to the first verdict on a pose.
-
-SMALL_ROWS = 255
-"""CPU pose calls up to SMALL_ROWS rows are recorded and replayed (`base.launch.repeated`)."""
+    from r2h_batch.observe.sees import Sees
 
 
-class Evaluator(Prepared):
+class Evaluator:
     """Judges predicted handovers on one device. Build it once: it holds the scene's tables and
     compiled kernels.
 
@@ -95,6 +72,86 @@ class Evaluator(Prepared):
     Raises:
         TypeError, ValueError: one of these is something else.
     """
+
+    called = moved = (
+        False  # True after the first call of poses, of motions was checked for common mistakes
+    )
+
+    @suggest_names
+    def __init__(
+        self,
+        benchmark: Benchmark | None = None,
+        config: EvalConfig | str | None = None,
+        *,
+        device: str | torch.device = "cpu",
+        threads: int | None = None,
+        plans_in: "Sees | None" = None,
+    ) -> None:
+        how = "load_benchmark(NAME or FILE)"
+        if isinstance(benchmark, EvalConfig):
+            how += ", and Evaluator(config=EvalConfig(...)) for a configuration"
+        optional(instance_of(Benchmark, how))("benchmark", benchmark)
+        if isinstance(config, str):
+            config = EvalConfig.preset(one_of(*PRESET_NAMES)("config", config))
+        optional(instance_of(EvalConfig, "EvalConfig(...) or the name of a preset"))(
+            "config", config
+        )
+        cpu_threads(threads)
+        self.scene = Scene(benchmark or load_benchmark(), device, config=config)
+        warn_of_payload(self.scene)
+        self.config = self.scene.config
+        check_asks(self.benchmark, self.config)
+        if plans_in is not None and "pick" not in self.benchmark.asks:
+            raise ValueError(
+                f"plans_in is given, and benchmark {self.benchmark.name!r} begins with the object in the gripper; leave it out"
+            )
+        self.threads, self.plans_in = threads, plans_in
+        if self.scene.device != "cpu":
+            build_tables(self.scene.robot, self.config.workplace.home_q, self.scene.device)
+        self._begin()
+
+    def _begin(self) -> None:
+        """The state of this object alone: its number for torch.compile, and what calls keep."""
+        self.handle = torch_op.register(self)
+        self._small_calls = RepeatedCalls(launching.SIZES_KEPT)
+        self._known_inputs = KnownInputs()
+
+    @property
+    def benchmark(self) -> Benchmark:
+        """The benchmark that is judged."""
+        return self.scene.benchmark
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The state of a copy or pickle: all but the handle and what calls keep. Copies share the scene's tables, which
+        nobody changes; another process builds its own (`Scene.__reduce__`), rows are bitwise
+        equal."""
+        own = ("handle", "kinematic", "_small_calls", "_known_inputs")
+        return {k: v for k, v in self.__dict__.items() if k not in own}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._begin()
+
+    @contextmanager
+    def working(self) -> Iterator[None]:
+        """A context in which kernels use `threads` CPU threads and torch uses one."""
+        with one_torch_thread(self.scene.device), on_threads(self.threads):
+            yield
+
+    @cached_property
+    def kinematic(self) -> Self:
+        """The same evaluator with the motion taken as planned (`sim="none"`) and without errors of execution or of the
+        object's pose: for methods that score while they search. They believe what they see."""
+        twin = copy.copy(self)
+        execute = replace(self.config.execute, sim="none")
+        twin.config = replace(
+            self.config,
+            execute=execute,
+            execution_error=ExecutionError(),
+            object_errors=ObjectErrors(),
+        )
+        twin.called = True  # the poses of a search are no mistakes
+        return twin
 
     @suggest_names
     def score(
@@ -138,7 +195,8 @@ class Evaluator(Prepared):
             self.scene, T_obj_ee, T_world_ee, trials, stages
         )
         check_receiver(self.config, trials)
-        if stages == "all" and _differentiates(T_obj_ee, T_world_ee):
+        gradients = asks_gradients(T_obj_ee, T_world_ee)
+        if gradients and stages == "all":
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
             # the operator has the columns of the five criteria alone, and no bodies
@@ -158,7 +216,7 @@ class Evaluator(Prepared):
             scores = self._score(
                 T_obj_ee.detach(), T_world_ee.detach(), trials, stages, keep_motion
             )
-            if stages == "pose" and _differentiates(T_obj_ee, T_world_ee):
+            if gradients and stages == "pose":
                 judge = partial(self.score, stages="pose")
                 scores = differentiable(judge, scores, (T_obj_ee, T_world_ee), trials)
             if first and (words := self.hint(scores, T_obj_ee, T_world_ee, trials)):
@@ -168,7 +226,7 @@ class Evaluator(Prepared):
             scores = scores.with_inputs(
                 ScoreInputs(T_obj_ee.detach().clone(), T_world_ee.detach().clone(), trials, self)
             )
-            return scores if stages == "pose" else self._given(scores)
+            return scores if stages == "pose" else self._last(scores)
 
     @suggest_names
     def score_motion(
@@ -242,294 +300,19 @@ class Evaluator(Prepared):
         T_obj_ee = T_obj_ee.detach()
         check_receiver(self.config, trials)
 
-        def chunk(first: int, last: int) -> Scores:
-            rows = slice(first, last)
-            motion = trace[rows]
-            return self._score_trace(
-                T_obj_ee[rows],
-                T_world_ee[rows],
-                motion if plan is trace else plan[rows],
-                motion,
-                trials[rows],
-            )
-
+        work = self._work(T_obj_ee, T_world_ee, trials, trace=trace, beside=plan)
         with self.working():
             check_indices(self.scene, trials)
-            scores = Scores.concatenate(in_chunks(len(trials), self.rows_at_once(), chunk))
+            scores = launching.judged(
+                work, TRACE, self._small_calls, at_once=self.rows_at_once(), sort=False
+            )
         if not self.moved and not T_obj_ee.is_cuda and planned_q is None:
             self.moved = True
             if words := self.motion_hint(scores, T_obj_ee, trials, q, time_s, length):
                 warnings.warn(words, stacklevel=3)
         scores = scores.with_inputs(ScoreInputs(T_obj_ee.clone(), T_world_ee, trials, self))
         with self.working():
-            return self._given(scores)
-
-    def _given(self, scores: Scores) -> Scores:
-        """The same verdicts once the person has been asked to take what was presented, where the benchmark asks for it."""
-        if not isinstance(scores, GivenScores):
-            return scores
-        from r2h_batch.judge.received import given
-
-        return given(scores)
-
-    def _score_planned(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, keep_motion: bool
-    ) -> Scores:
-        """Every stage: hold, IK, plan, move, judge."""
-        from r2h_batch.judge.motion.execute import execute
-        from r2h_batch.judge.motion.time_law import time_path
-
-        scene, config = self.scene, self.config
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
-        active = held.active
-        if self.plans_in is None:
-            picked = self._picked(held, T_obj_ee, trials, ways=True)
-            planned, missed_m, t_plan_s = self._plan(held, trials, picked)
-        else:
-            picked, planned, missed_m, t_plan_s = self._believed(held, T_obj_ee, trials)
-        weight = self.scene.robot.joint_weight
-        motion = time_path(planned.path, planned.length, config.execute, weight)
-        # the clearance is certified only for exact edges and the true hand
-        certified = (
-            planned.clearance_m
-            if (config.plan.edge_check, config.plan.hand) == ("exact", "true")
-            and self.plans_in is None
-            else None
-        )
-        executed = execute(
-            scene,
-            held.body_poses,
-            planned.path,
-            planned.length,
-            motion,
-            config.execute,
-            clearance_m=certified,
-        )
-
-        nearest = hand_distance(scene, held.body_poses, executed, active)
-        body_m, body, _ = over_motion(
-            scene, held.body_poses, executed, partial(self._person_distance, trials)
-        )  # fmt: skip
-        goal_reached = (planned.reason == int(PlanReason.OK)) & executed.settled
-        shared, nearest = self._judge(
-            held,
-            goal_reached=goal_reached,
-            moves=active & (executed.length > 0),
-            clearance_m=torch.where(goal_reached, planned.clearance_m, missed_m),
-            reason=planned.reason,
-            nearest=nearest,
-            person=(body_m, body),
-            valid=executed.valid,
-            picked=picked,
-        )
-        region = presented(scene, held, config.thresholds)
-        return motion_scores(
-            trials.trial_id, shared, region, active, planned, motion, executed, nearest, config.execute,
-            t_plan_s=t_plan_s, keep_motion=keep_motion, body_m=body_m,
-        )  # fmt: skip
-
-    def _plan(
-        self, held: AttachedBatch, trials: Trials, picked: "Picked | None"
-    ) -> tuple["Plan", Tensor, float]:
-        """Paths from home, or from where the object is lifted; how far rows without one are from one (m, below 0); seconds a
-        trial."""
-        from r2h_batch.judge.plan import plan_paths, random_key
-
-        scene, config = self.scene, self.config
-        plan_start = time.perf_counter()
-        ik, branches = self._branches(config, held)
-        goals, begins, start = ik.q, held.active, None
-        if picked is not None:  # carried from where the lift ends
-            begins = begins & picked.picked
-            home = home_posture(str(begins.device), config.workplace.home_q)
-            start = torch.where(begins[:, None], picked.lifted, home)
-            goals = nearest_turns(ik.q, start, scene.robot)
-        planned = plan_paths(
-            scene,
-            held.planner_poses,
-            goals,
-            branches,
-            begins,
-            random_key(trials.trial_id),
-            config.plan,
-            execute=config.execute,
-            start=start,
-        )
-        t_plan_s = (time.perf_counter() - plan_start) / max(len(trials), 1)
-        missed_m = failed_clearance(
-            scene, held.planner_poses, held.T_world_ee, ik, branches, planned.reason
-        )  # fmt: skip
-        reason = weaken_singular_reason(planned.reason, ik)
-        return replace(planned, reason=reason), missed_m, t_plan_s
-
-    def _believed(
-        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials
-    ) -> tuple["Picked", "Plan", Tensor, float]:
-        """As `_picked` and `_plan`, where the arm is planned in what cameras saw: what it does there, judged in the truth."""
-        from r2h_batch.judge.followed import follow_plans, no_plan, nothing_to_pick, put
-        from r2h_batch.judge.pick import follow_picks, judge_picks
-        from r2h_batch.observe.believed_world import believed_world
-
-        assert self.plans_in is not None  # the caller has asked
-        scene, b, device = self.scene, len(trials), held.active.device
-        T_world_obj = self._moments(held, trials)
-        T_world_grasp = se3.matmul(T_world_obj.double(), T_obj_ee.double())
-        picked = nothing_to_pick(scene, T_world_grasp.float())
-        planned = no_plan(b, len(scene.robot.joints), device)
-        missed_m = torch.full_like(planned.clearance_m, -torch.inf)
-        t_plan_s, rows = 0.0, torch.nonzero(held.active)[:, 0]
-        world = believed_world(scene, trials[rows], self.plans_in) if len(rows) else None
-        if world is not None:
-            rows = rows[world.row.to(device)]
-            grasps, rest = world.grasps(T_world_grasp[rows]), world.T_world_obj.float()
-            seen = attach_object(
-                world.scene, grasps, held.T_world_ee[rows], world.trials, self.config
-            )
-            own = judge_picks(world.scene, grasps, rest, world.trials)
-            plan, missed, seconds = self.in_scene(world.scene)._plan(seen, world.trials, own)
-            put(picked, rows, own)
-            put(planned, rows, plan)
-            missed_m[rows], t_plan_s = missed, seconds * len(rows) / b
-        picked = follow_picks(scene, T_obj_ee, T_world_obj, trials, picked)
-        planned = follow_plans(scene, held, planned, held.active & picked.picked)
-        met = planned.reason == int(PlanReason.MOTION_IN_COLLISION)
-        return picked, planned, torch.where(met, planned.clearance_m, missed_m), t_plan_s
-
-    def in_scene(self, scene: Scene) -> "Evaluator":
-        """The same evaluator in another scene, where planning knows the truth.
-
-        Args:
-            scene: its benchmark has the same limits and criteria.
-        """
-        twin = copy.copy(self)
-        twin.scene, twin.plans_in = scene, None
-        return twin
-
-    def _score_trace(
-        self, T_obj_ee: Tensor, T_world_ee: Tensor, plan: "Trace", trace: "Trace", trials: Trials
-    ) -> Scores:
-        """The stages of a motion given by the caller: grasp, then tests of the motion in place of IK and planning, verdict.
-
-        A plan beside the motion is tested too, and the worse of both counts.
-        """
-        from r2h_batch.judge.trace import executed_trace, plan_of_trace, worse_plan
-
-        scene = self.scene
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, self.config)
-        active, poses = held.active, held.body_poses
-        if self.config.receiver == "body":
-            assert trials.receiver is not None  # `check_receiver` has refused its absence
-            poses = with_person(scene, poses, trials.receiver, hand=True)
-        planned = plan_of_trace(scene, poses, trace, active)
-        executed, motion = executed_trace(trace, planned)
-        moves = active & (planned.length > 0)  # before a plan beside it may fail
-        nearest = hand_distance(scene, held.body_poses, executed, active)
-        person = self._person_distance(trials, held.body_poses, executed.path, executed.length)
-        if plan is not trace:
-            free_plan = plan_of_trace(scene, poses, plan, active)
-            planned = worse_plan(free_plan, planned, nearest.distance_m <= 0)
-        shared, nearest = self._judge(
-            held,
-            goal_reached=planned.reason == int(PlanReason.OK),
-            moves=moves,
-            clearance_m=planned.clearance_m,
-            reason=planned.reason,
-            nearest=nearest,
-            person=person,
-            valid=executed.valid,
-            picked=self._picked(held, T_obj_ee, trials, ways=True),
-        )
-        region = presented(scene, held, self.config.thresholds)
-        return motion_scores(
-            trials.trial_id, shared, region, active, planned, motion, executed, nearest, None,
-            t_plan_s=float("nan"), keep_motion=False, body_m=person[0],
-        )  # fmt: skip
-
-    def _score_pose(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
-        """The stages of `_score_planned` that need no path."""
-        of_trials = trials._tensors()
-        of_trials.pop("person", None)  # no stage looks at it
-        inputs = tuple(x.contiguous() for x in (T_obj_ee, T_world_ee, *of_trials.values()))
-        if 0 < len(trials) <= SMALL_ROWS and not T_obj_ee.is_cuda and not self.benchmark.asks:
-            kept = self._small_calls(self._judge_pose, *inputs)
-            return pose_scores(trials.trial_id, {name: x.clone() for name, x in kept.items()})
-        return pose_scores(trials.trial_id, self._judge_pose(*inputs))
-
-    def _judge_pose(self, *inputs: Tensor) -> dict[str, Tensor]:
-        """Results of `_score_pose` for poses and trials, field by field; it launches
-        mostly kernels, so small calls can be recorded."""
-        scene, config = self.scene, self.config
-        T_obj_ee, T_world_ee, *of_trials = inputs
-        trials = Trials(*of_trials)
-        held = attach_object(scene, T_obj_ee, T_world_ee, trials, config)
-        active = held.active
-        ik, branches = self._branches(config, held)
-        goal = judge_goals(scene, held.planner_poses, held.T_world_ee, ik, branches, active)
-        nearest = hand_distance_at(scene, held.body_poses, goal.q, active)
-        person = None
-        if trials.receiver is not None:
-            person = person_distance_at(scene, held.body_poses, trials.receiver, goal.q, active)
-        shared, nearest = self._judge(
-            held,
-            goal_reached=None,
-            moves=active,
-            clearance_m=goal.clearance_m,
-            reason=goal.reason,
-            nearest=nearest,
-            person=person,
-            valid=None,
-            picked=self._picked(held, T_obj_ee, trials, ways=False),
-        )
-        found = shared | pose_fields(presented(scene, held, config.thresholds), goal, nearest)
-        if person is not None:
-            found["body_m"] = person[0]
-        return found
-
-    def _judge(
-        self,
-        held: AttachedBatch,
-        *,
-        goal_reached: Tensor | None,
-        moves: Tensor,
-        clearance_m: Tensor,
-        reason: Tensor,
-        nearest: NearestApproach,
-        person: tuple[Tensor, Tensor] | None,
-        valid: Tensor | None,
-        picked: "Picked | None",
-    ) -> tuple[dict[str, Tensor], NearestApproach]:
-        """The fields of `Scores` that need no path, and where the robot is nearest to the
-        receiver; arguments as in `Evidence` and `verdict`."""
-        scene, config = self.scene, self.config
-        if config.receiver == "body" and person is not None:
-            nearest = nearer_of(nearest, *person)
-        slip_m = None
-        if config.stability == "physics":
-            from r2h_batch.judge.grasp_physics import shake
-
-            rows = held.active & (held.grasp.margin_m >= 0)
-            slip_m = shake(scene.objects, held.objects, held.attached, rows, scene.robot)
-        evidence = metrics.Evidence(
-            scene, config, held, goal_reached, moves, clearance_m, reason, nearest, slip_m, picked
-        )
-        found = verdict(metrics.judge(evidence), held, slip_m, valid)
-        if picked is not None:
-            found["pick"] = torch.stack([picked.reason, picked.pair, picked.body], 1)
-            if "received" in self.benchmark.asks:
-                found |= not_given(len(picked.reason), picked.reason.device)
-        return found, nearest
-
-    def _picked(
-        self, held: AttachedBatch, T_obj_ee: Tensor, trials: Trials, *, ways: bool
-    ) -> "Picked | None":
-        """Whether the arm picks the objects where they rest; None where the benchmark does not ask.
-        `ways`: also by the ways to the grasp and up from it."""
-        if "pick" not in self.benchmark.asks:
-            return None
-        from r2h_batch.judge.pick import judge_picks
-
-        T_world_obj = self._moments(held, trials)
-        return judge_picks(self.scene, T_obj_ee, T_world_obj, trials, ways=ways)
+            return self._last(scores)
 
     def picks(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> "Picked":
         """How the arm picks, or fails to, as a part of the verdict on B handovers.
@@ -546,51 +329,143 @@ class Evaluator(Prepared):
             self.scene, T_obj_ee, T_world_ee, trials, "all"
         )
         with self.working():
-            held = attach_object(self.scene, T_obj_ee, T_world_ee, trials, self.config)
-            if self.plans_in is not None:
-                return self._believed(held, T_obj_ee, trials)[0]
-            found = self._picked(held, T_obj_ee, trials, ways=True)
+            work = self._work(T_obj_ee, T_world_ee, trials)
+            found = work.through(PICKS if self.plans_in is None else BELIEVED_PICKS).picked
         assert found is not None  # the benchmark asks for it
         return found
 
-    def _moments(self, held: AttachedBatch, trials: Trials) -> Float32[Tensor, "b 4 4"]:
-        """Where the objects rest, m; the identity where a hand is no pose and has no moment."""
-        from r2h_batch.observe.known import known_moments
+    def in_scene(self, scene: Scene) -> "Evaluator":
+        """The same evaluator in another scene, where planning knows the truth.
 
-        active = torch.nonzero(held.active)[:, 0]
-        T_world_obj = torch.eye(4, dtype=torch.float32, device=active.device).repeat(
-            len(trials), 1, 1
-        )
-        T_world_obj[active] = known_moments(self.scene).of(trials[active])
-        return T_world_obj
+        Args:
+            scene: its benchmark has the same limits and criteria.
+        """
+        twin = copy.copy(self)
+        twin.scene, twin.plans_in = scene, None
+        return twin
 
-    def _person_distance(
+    def rows_at_once(self, stages: Stages = "all") -> int:
+        """How many rows are judged together: `EvalConfig.chunk`, on CUDA more where there is memory
+        for it.
+
+        A call with more rows is judged in chunks; a smaller call does not use the whole GPU.
+
+        Args:
+            stages: as of `score`.
+        """
+        check_stages(stages)
+        return launching.rows_at_once(self.config, self.scene.device, paths=stages == "all")
+
+    def _work(self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, **more: Any) -> Work:
+        """What stages begin with."""
+        return Work(self.scene, self.config, trials, T_obj_ee, T_world_ee, self.plans_in, **more)
+
+    def _score(
         self,
+        T_obj_ee: Tensor,
+        T_world_ee: Tensor,
         trials: Trials,
-        body_poses: BodyPoses,
-        path: Tensor,
-        length: Tensor,
-        rows: Tensor | None = None,
-    ) -> tuple[Tensor, Tensor]:
-        """How near the robot comes to the receiver's arm and torso, and which of its bodies; NaN and -1 where
-        there is none. `rows`: the trials of the paths, where these are not all."""
-        if trials.receiver is not None:
-            receiver = trials.receiver if rows is None else trials.receiver[rows]
-            return person_distance(self.scene, body_poses, receiver, path, length)
-        return torch.full_like(path[:, 0, 0], torch.nan), torch.full_like(length, -1)
+        stages: Stages,
+        keep_motion: bool = False,
+    ) -> Scores:
+        """Verdicts of poses that were checked, as the robot with its errors reaches them; `LAST` is not yet asked."""
+        poses = executed_poses(self.config, self.scene.objects, T_obj_ee, T_world_ee, trials)
+        work = self._work(*poses, trials, keep_motion=keep_motion)
+        planned = PLANNED if self.plans_in is None else BELIEVED
+        return launching.judged(
+            work, POSE if stages == "pose" else planned, self._small_calls, at_once=self.rows_at_once(stages), sort=True
+        )  # fmt: skip
 
-    def _branches(self, config: EvalConfig, held: AttachedBatch) -> tuple[IkResult, Tensor]:
-        """All IK branches, and which of them may be used."""
-        solve = solve_ik
-        if config.ik.solver == "pytorch-kinematics":
-            from r2h_batch.judge.ik_jacobian import solve_ik as solve
-        robot, home = self.scene.robot, config.workplace.home_q
-        ik = solve(held.T_world_ee, active=held.active, robot=robot, home=home)
-        if config.plan.goals == "set":
-            return ik, ik.valid
-        return ik, one_branch(ik, held.T_world_ee, robot=robot, home=home)
+    def _last(self, scores: Scores) -> Scores:
+        """The same verdicts after the stages that ask about what has passed all others."""
+        asked = scores.inputs
+        assert asked is not None
+        work = self._work(asked.T_obj_ee, asked.T_world_ee, asked.trials, scores=scores)
+        return work.through(LAST).scores
 
+    def _score_checked(
+        self, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, *, stages: Stages
+    ) -> Scores:
+        """`score` of tensors whose shapes are known to fit."""
+        with self.working():
+            check_indices(self.scene, trials)
+            check_receiver(self.config, trials)
+            return self._score(T_obj_ee, T_world_ee, trials, stages)
 
-def _differentiates(*poses: Tensor) -> bool:
-    """Whether margins need gradients with respect to these poses."""
-    return torch.is_grad_enabled() and any(T.requires_grad for T in poses)
+    def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
+        """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
+        CUDA one graph.
+
+        Args:
+            b: rows of each call.
+            stages: `pose`, or `all` on a CPU.
+
+        Raises:
+            ValueError: CUDA cannot capture this configuration; the message says what to change.
+        """
+        device = torch.device(self.scene.device)
+        check_capture(self.config, device, stages)
+        return Captured(partial(self._score_checked, stages=stages), device, b)
+
+    def hint(
+        self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
+    ) -> str | None:
+        """One line where all rows fail and some succeed in another convention (`judge.conventions`); else None.
+
+        Args:
+            scores: verdicts of the B rows.
+            T_obj_ee: (B, 4, 4) the grasps, m.
+            T_world_ee: (B, 4, 4) the handover poses, m.
+            trials: B trials.
+        """
+        from r2h_batch.judge.conventions import pose_hint
+
+        def judge(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials) -> Scores:
+            with self.working():
+                return self._score(T_obj_ee, T_world_ee, trials, "pose")
+
+        resting = None
+        if "pick" in self.benchmark.asks:
+            from r2h_batch.observe.known import known_moments
+
+            resting = known_moments(self.scene).of
+        poses = T_obj_ee.detach(), T_world_ee.detach()
+        return pose_hint(scores, *poses, trials, self.scene, judge, resting)
+
+    def motion_hint(
+        self,
+        scores: Scores,
+        T_obj_ee: Float32[Tensor, "b 4 4"],
+        trials: Trials,
+        q: Float[Tensor, "b w j"],
+        time_s: Float[Tensor, "b w"] | Float[Tensor, " w"],
+        length: Int[Tensor, " b"] | None = None,
+    ) -> str | None:
+        """As `hint`, of motions.
+
+        Args:
+            scores: verdicts of the B motions.
+            T_obj_ee: (B, 4, 4) the grasps, m.
+            trials: B trials.
+            q: (B, W, J) samples of the motions, rad, as of `score_motion`.
+            time_s: (B, W) or (W,) their times, s.
+            length: (B,) how many samples count; None: all.
+        """
+        from r2h_batch.judge.conventions import motion_hint
+
+        def judge(rows: Tensor, q: Tensor, time_s: Tensor) -> Scores:
+            few = None if length is None else torch.as_tensor(length)[rows]
+            twin = copy.copy(self)
+            twin.moved = True
+            return twin.score_motion(T_obj_ee[rows], q, time_s, trials[rows], length=few)
+
+        return motion_hint(scores, torch.as_tensor(q), torch.as_tensor(time_s), judge)
+
+    def __repr__(self) -> str:
+        engine = self.config.execute.engine(torch.device(self.scene.device).type)
+        return f"Evaluator({self.scene.about}; preset {self.config.name}, sim {engine})"
+
+    def _repr_html_(self) -> str:
+        limits = vars(self.config.thresholds).items()
+        lines = [(name, f"{value:g}") for name, value in limits]
+        return of_lines(("limit", "value"), lines, title=repr(self)).html()

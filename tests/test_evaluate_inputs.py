@@ -117,7 +117,7 @@ def no_work(monkeypatch):
         raise AssertionError("work was done before the input was checked")
 
     monkeypatch.setattr("r2h_batch.judge.attach.close_pads", refuse)
-    monkeypatch.setattr("r2h_batch.evaluate.solve_ik", refuse)
+    monkeypatch.setattr("r2h_batch.stages.solve_ik", refuse)
 
 
 def wrong_inputs() -> dict[str, tuple]:

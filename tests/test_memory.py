@@ -9,12 +9,13 @@ import pytest
 import torch
 from pretend_cuda import pretending
 
-from r2h_batch import load_benchmark
+from r2h_batch import launching, load_benchmark
 from r2h_batch.base.launch.memory import CUDA_ROWS, in_chunks
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.launching import POSE_CHUNK_CUDA
 from r2h_batch.methods import random
-from r2h_batch.prepared import POSE_CHUNK_CUDA
+from r2h_batch.work import Work
 
 WORDS = {
     "torch": torch.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),
@@ -49,15 +50,15 @@ def test_an_evaluator_that_runs_out_of_memory_gives_the_same_rows() -> None:
     trials = load_benchmark("r2h-v1").trials(12, splits=("S0",))
     poses = random.predict(trials, evaluator.scene, seed=0)
     whole = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
-    judge, sizes = Evaluator._score_pose, []
+    judge, sizes = launching.scored, []
 
-    def tight(self: Evaluator, *args: torch.Tensor) -> object:
-        sizes.append(len(args[0]))
-        if len(args[0]) > 5:
+    def tight(work: Work, *args: object) -> object:
+        sizes.append(len(work.trials))
+        if len(work.trials) > 5:
             raise WORDS["Warp"]
-        return judge(self, *args)
+        return judge(work, *args)
 
-    with mock.patch.object(Evaluator, "_score_pose", tight):
+    with mock.patch.object(launching, "scored", tight):
         parts = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, "pose")
     assert sizes == [12, 6, 3, 3, 3, 3]
     assert torch.equal(parts.margin.nan_to_num(9.0), whole.margin.nan_to_num(9.0))

@@ -98,9 +98,7 @@ def verdict(
     return found
 
 
-def motion_scores(
-    trial_id: Int64[Tensor, " b"],
-    shared: dict[str, Tensor],
+def motion_fields(
     region: Presented,
     active: Bool[Tensor, " b"],
     planned: "Plan",
@@ -111,9 +109,9 @@ def motion_scores(
     *,
     t_plan_s: float,
     keep_motion: bool,
-    body_m: Float32[Tensor, " b"],
-) -> Scores:
-    """`Scores` of trials that were planned and moved; `shared` from `verdict`. `config`: the time
+    body_m: Float32[Tensor, " b"] | None,
+) -> dict[str, Tensor]:
+    """The fields of `Scores` of trials that were planned and moved, beside those of `verdict`. `config`: the time
     law of the path, None for motions with times of their own."""
     from r2h_batch.judge.motion.execute import executed_time_at
     from r2h_batch.judge.motion.time_law import time_at
@@ -130,30 +128,28 @@ def motion_scores(
     else:
         time_s = executed_time_at(executed, nearest.segment, nearest.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
-    return _kind(shared)(
-        trial_id=trial_id,
-        **shared,
-        presented=region.presented,
-        presented_angle_deg=region.angle_deg,
-        presented_distance_m=region.distance_m,
-        plan_reason=torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(
+    return {
+        "presented": region.presented,
+        "presented_angle_deg": region.angle_deg,
+        "presented_distance_m": region.distance_m,
+        "plan_reason": torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(
             torch.int8
         ),
-        plan_pair=torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
-        witness_part=torch.stack([torch.where(has_path, planned.body, -1), nearest.body], 1),
-        witness_time_s=torch.where(witnessed, time_s, torch.nan),
-        witness_point=torch.where(witnessed[:, None], nearest.point, torch.nan),
-        t_plan_s=torch.where(begun, t_plan_s, torch.nan).float(),
-        t_exec_s=executed.t_exec_s,
-        q_goal=torch.where(has_path[:, None], goal, torch.nan),
-        path=planned.path,
-        path_time_s=motion.time_s,
-        path_len=planned.length,
-        motion=kept,
-        motion_len=kept_len,
-        failed_state=failed_state,
-        body_m=body_m,
-    )
+        "plan_pair": torch.where(active, planned.pair, int(CollidingPair.NONE)).to(torch.int8),
+        "witness_part": torch.stack([torch.where(has_path, planned.body, -1), nearest.body], 1),
+        "witness_time_s": torch.where(witnessed, time_s, torch.nan),
+        "witness_point": torch.where(witnessed[:, None], nearest.point, torch.nan),
+        "t_plan_s": torch.where(begun, t_plan_s, torch.nan).float(),
+        "t_exec_s": executed.t_exec_s,
+        "q_goal": torch.where(has_path[:, None], goal, torch.nan),
+        "path": planned.path,
+        "path_time_s": motion.time_s,
+        "path_len": planned.length,
+        "motion": kept,
+        "motion_len": kept_len,
+        "failed_state": failed_state,
+        "body_m": torch.full_like(executed.t_exec_s, torch.nan) if body_m is None else body_m,
+    }
 
 
 def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict[str, Tensor]:
@@ -177,10 +173,12 @@ def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict
     return found
 
 
-def pose_scores(trial_id: Int64[Tensor, " b"], found: dict[str, Tensor]) -> Scores:
-    """`Scores` of poses that were judged without a path; `found` from `verdict` and `pose_fields`."""
-    q = found["q_goal"]
-    return _kind(found)(trial_id=trial_id, **found, **_no_path(*q.shape, q.device))
+def scores_of(trial_id: Int64[Tensor, " b"], found: dict[str, Tensor]) -> Scores:
+    """`Scores` of rows whose fields are all found. Poses that were judged without a path have no numbers in the others."""
+    if "path" not in found:
+        q = found["q_goal"]
+        found = found | _no_path(*q.shape, q.device)
+    return _kind(found)(trial_id=trial_id, **found)
 
 
 def _kind(found: dict[str, Tensor]) -> type[Scores]:

@@ -34,6 +34,11 @@ Judge = Callable[[Tensor, Tensor, Trials], Scores]
 """The pose stage of B rows, without gradients."""
 
 
+def asks_gradients(*poses: Tensor) -> bool:
+    """Whether margins need gradients with respect to these poses."""
+    return torch.is_grad_enabled() and any(T.requires_grad for T in poses)
+
+
 def differentiable(
     judge: Judge, scores: Scores, poses: tuple[Tensor, Tensor], trials: Trials
 ) -> Scores:

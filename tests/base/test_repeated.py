@@ -13,11 +13,12 @@ from problems import default_evaluator, make_batch
 from rounds import each
 from torch import Tensor
 
-from r2h_batch import load_benchmark
+from r2h_batch import launching, load_benchmark
 from r2h_batch.base.launch.repeated import TRIES, RepeatedCalls
 from r2h_batch.config import CLEARANCE_CAP_M
-from r2h_batch.evaluate import SMALL_ROWS, Evaluator
+from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import gripper_poses
+from r2h_batch.launching import SMALL_ROWS
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.types import Scores
 
@@ -62,7 +63,7 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
         assert equal(scores, whole[some]), some
 
 
-def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses):
+def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses, monkeypatch):
     trials = load_benchmark("r2h-v1").trials(N)[:N]
     assert trials.receiver is not None
     receiver = trials.receiver.clone()
@@ -71,13 +72,13 @@ def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one
     whole = default_evaluator().score(*poses[:2], trials, stages="pose")
     assert (whole.body_m < 0).sum() > 20 and (whole.body_m == CLEARANCE_CAP_M).sum() > 20
     evaluator, ran = copy.copy(default_evaluator()), []
-    judge = evaluator._judge_pose
+    judge = launching.fields_of
 
-    def counted(*inputs: Any) -> Any:
+    def counted(work: Any, stages: Any, *inputs: Any) -> Any:
         ran.append(len(inputs[0]))
-        return judge(*inputs)
+        return judge(work, stages, *inputs)
 
-    evaluator._judge_pose = counted
+    monkeypatch.setattr(launching, "fields_of", counted)
     for first, rows in [(0, 1), (1, 1), (4, 1), (7, 1), (0, 16), (32, 16), (8, 16), (0, SMALL_ROWS)] * 4:
         some = slice(first, first + rows)
         assert equal(evaluator.score(*(x[some] for x in (*poses[:2], trials)), stages="pose"), whole[some]), some

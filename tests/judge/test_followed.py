@@ -9,7 +9,7 @@ import torch
 from pick_twin import PickTwin
 from rounds import each
 
-from r2h_batch import load_benchmark
+from r2h_batch import load_benchmark, stages
 from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
@@ -25,6 +25,7 @@ from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import CollidingPair, PlanReason
 from r2h_batch.verdicts import PickReason
+from r2h_batch.work import Work
 
 EXACT = "cell-v1,noise=0,model=known,object=none"
 
@@ -165,7 +166,10 @@ def carried():
     poses[:, :3, 3] = T_world_ee + 0.06 * normal
     held = attach_object(ev.scene, grasps, poses, trials, ev.config)
     picks = ev.picks(grasps, poses, trials)
-    plan, _, _ = ev._plan(held, trials, picks)
+    work = Work(ev.scene, ev.config, trials, grasps, poses)
+    work.held, work.picked = held, picks
+    stages.plan(work)
+    plan = work.planned
     return trials, held, plan
 
 

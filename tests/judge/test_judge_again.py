@@ -10,7 +10,7 @@ import torch
 from judge_twin import Again
 from people_twin import episode_of, reception_of
 
-from r2h_batch import Evaluator, evaluate, load_benchmark
+from r2h_batch import Evaluator, load_benchmark, stages
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
@@ -84,13 +84,13 @@ def freer(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def beside(monkeypatch: pytest.MonkeyPatch) -> None:
     """The arm ends a thousandth of a radian beside the handover pose."""
-    own = evaluate.solve_ik
+    own = stages.solve_ik
 
     def solved(*a: Any, **k: Any) -> Any:
         found = own(*a, **k)
         return replace(found, q=found.q + 1e-3)
 
-    monkeypatch.setattr(evaluate, "solve_ik", solved)
+    monkeypatch.setattr(stages, "solve_ik", solved)
 
 
 def faster(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -106,13 +106,13 @@ def faster(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def shifted(monkeypatch: pytest.MonkeyPatch) -> None:
     """The object stays where it was between the pads."""
-    own = evaluate.attach_object
+    own = stages.attach_object
 
     def attached(scene: Any, T_obj_ee: Any, *a: Any) -> Any:
         found = own(scene, T_obj_ee, *a)
         return replace(found, grasp=replace(found.grasp, shift_m=found.grasp.shift_m + 2e-4))
 
-    monkeypatch.setattr(evaluate, "attach_object", attached)
+    monkeypatch.setattr(stages, "attach_object", attached)
 
 
 @pytest.mark.check
