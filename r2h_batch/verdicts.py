@@ -4,7 +4,7 @@ Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers th
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from enum import IntEnum
 from typing import Any, Literal, NamedTuple
 
@@ -42,7 +42,8 @@ UNITS = {
 
 
 class CriterionEntry(NamedTuple):
-    """Description of a criterion without its equation (`function` has the equation)."""
+    """A criterion: all that there is to know of it without torch. Ours and those of other packages are such values, and
+    nothing else says which criteria there are."""
 
     name: (
         str  # stored columns are passed_NAME and margin_NAME_UNIT; the outcome is NAME in capitals
@@ -59,20 +60,60 @@ class CriterionEntry(NamedTuple):
     unit: str = "m"  # of its margins: a key of `UNITS`
     applies: Callable[[Any], bool] | None = None  # whether it concerns an object (an ObjectModel)
     function: str = ""  # module:name of the equation; empty: that of its name in judge/metrics.py
+    means: str = ""  # what its margin is, in words
+    fails: str = ""  # what it means that it fails, in words; by how much is added to them
+    asked: bool = (
+        False  # whether only benchmarks that ask for it are judged by it (`Benchmark.asks`)
+    )
+    behind: str = ""  # whose failure is looked for right before; empty: that of the entry before it
 
     @property
     def margin_column(self) -> str:
         """The stored column of its margins."""
         return f"margin_{self.name}_{self.unit}"
 
+    @property
+    def passed_column(self) -> str:
+        """The stored column of its verdicts."""
+        return f"passed_{self.name}"
+
+    @property
+    def kind_column(self) -> str:
+        """The stored column of what its margins mean (`MarginKind`)."""
+        return f"margin_kind_{self.name}"
+
+    @property
+    def equation(self) -> tuple[str, str]:
+        """Module and name of the function that judges by it, from `judge.metrics.Evidence` to `Criterion`."""
+        module, _, name = self.function.rpartition(":")
+        return (module, name) if module else ("r2h_batch.judge.metrics", self.name)
+
 
 _OURS = (
-    CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True),
-    CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False),
-    CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True),
-    CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False),
-    CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False),
-)
+    CriterionEntry("stability", "f_stab", "F_stab", 3, "#e69f00", SPLITS, True,
+                   means="room left between the pads and at the ends of their stroke",
+                   fails="the gripper does not hold it"),
+    CriterionEntry("plan", "f_plan", "F_plan", 0, "#0072b2", SPLITS, False,
+                   means="smallest distance to an obstacle along the path"),
+    CriterionEntry("reach", "f_reach", "F_reach", 1, "#56b4e9", SPLITS, True,
+                   means="how far the object reaches into the ball in front of the palm",
+                   fails="the hand does not reach the object"),
+    CriterionEntry("affordance", "f_afford", "F_afford", 4, "#cc79a7", ("S1",), False,
+                   means="distance from the fingers to the receiver's part of the object",
+                   fails="the gripper holds the receiver's part"),
+    CriterionEntry("safe", "f_safe", "F_safe", 2, "#d55e00", SPLITS, False,
+                   means="smallest distance from the robot to the hand",
+                   fails="the robot meets the hand"),
+    CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0",
+                   asked=True, behind="stability"),
+    CriterionEntry("received", "f_recv", "F_recv", 7, "#6a9a3d", SPLITS, True, since="0.3.0",
+                   asked=True),
+)  # fmt: skip
+"""A new criterion is an entry here and a function in `judge.metrics`."""
+
+CRITERION: Registry[CriterionEntry] = Registry("criterion", {entry.name: entry for entry in _OURS})
+"""All criteria by name, with those that other packages name as `criterion.NAME` (`r2h_batch.plugins`). Their modules are
+imported here, so they may import this file and the standard library alone."""
 
 
 def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
@@ -91,43 +132,36 @@ def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
         "unit": entry.unit not in UNITS,
         "splits": not entry.splits or not set(entry.splits) <= set(SPLITS),
         "since": not entry.since,
+        "asked": entry.asked,
+        "behind": entry.behind not in ("", *(own.name for own in _OURS)),
     }
     if bad := [field for field, is_wrong in wrong.items() if is_wrong]:
         value = getattr(entry, bad[0])
         raise PluginError(
             f"criterion {entry.name!r}: {bad[0]} is {value!r}; name: small letters, rate: of no other criterion, unit:"
             f" {' or '.join(UNITS)}, splits: one of {', '.join(SPLITS)} or both (`applies` says for which objects), since: the"
-            " version that judges by it first"
+            " version that judges by it first, asked: False (benchmarks ask for ours alone), behind: one of ours, or empty"
         )
     return entry
 
 
-CRITERION: Registry[CriterionEntry] = Registry("criterion", {entry.name: entry for entry in _OURS})
+_ALL = (*_OURS, *(_checked(CRITERION[name], name) for name in CRITERION.declared))
 
-REGISTRY = (
-    *_OURS,
-    *(_checked(CRITERION[name], name) for name in CRITERION.declared),
-)
-"""The criteria of every benchmark, in the order in which the first failure is looked for. Stored columns, outcomes,
-rates, headings, charts and re-scoring follow it. A new criterion is an entry here and a function in
-`judge.metrics`, or an entry that another package names as `criterion.NAME` (`r2h_batch.plugins`;
-its module is imported here, so it may import this file and the standard library alone)."""
+REGISTRY = tuple(entry for entry in _ALL if not entry.asked)
+"""The criteria of every benchmark."""
 
 CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
 
-ASKED = (
-    CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0"),
-    CriterionEntry("received", "f_recv", "F_recv", 7, "#6a9a3d", SPLITS, True, since="0.3.0"),
-)
-"""Criteria that a benchmark asks for (`Benchmark.asks`) beside `CRITERIA`: others judge by none of them. A benchmark asks for
-the first ones."""
+ASKED = tuple(entry for entry in _ALL if entry.asked)
+"""Criteria that a benchmark asks for beside `CRITERIA`: others judge by none of them. A benchmark asks for the first ones."""
 
 UNTIL: tuple[Literal["present", "received"], ...] = ("present", "received")
 """Where a benchmark that asks for `ASKED` may end: with the arm at rest, the first of them, and so on."""
 
 EVERY = (*REGISTRY, *ASKED)
-"""All criteria. Place here = column of (B, C) tensors; those of a benchmark that asks for none end with `CRITERIA`."""
+"""All criteria. Place here = column of (B, C) tensors; those of a benchmark that asks for none end with `CRITERIA`. Stored
+columns, rates, headings, charts and re-scoring follow it."""
 
 ASKED_NAMES = tuple(entry.name for entry in ASKED)
 
@@ -135,7 +169,24 @@ NO_LONGER = ("taken",)
 """Criteria that rows of r2h_batch 0.3 and before may be judged by, and no benchmark asks for any more. Such rows keep the
 outcomes of these names; their columns are not read."""
 
-IN_ORDER = (REGISTRY[0], ASKED[0], *REGISTRY[1:], *ASKED[1:])
+
+def criteria_of(asks: Sequence[str]) -> tuple[CriterionEntry, ...]:
+    """The criteria of a benchmark, in the order of their columns.
+
+    Args:
+        asks: those of `ASKED_NAMES` that it asks for.
+    """
+    return EVERY[: len(REGISTRY) + len(asks)]
+
+
+def _in_order(entries: Sequence[CriterionEntry]) -> tuple[CriterionEntry, ...]:
+    found = [entry for entry in entries if not entry.behind]
+    for entry in (e for e in entries if e.behind):
+        found.insert(1 + [e.name for e in found].index(entry.behind), entry)
+    return tuple(found)
+
+
+IN_ORDER = _in_order(EVERY)
 """All criteria in the order in which the first failure is looked for: a grasp is held, then picked; what is presented is
 received."""
 

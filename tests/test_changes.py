@@ -122,8 +122,8 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
         tmp_path / "tree",
         {
             "r2h_batch/verdicts.py": {
-                '"#d55e00", SPLITS, False),\n)\n': '"#d55e00", SPLITS, False),\n'
-                '    CriterionEntry("centred", "f_centre", "F_centre", 5, "#666666", SPLITS, True, since="0.3.0"),\n)\n',
+                'fails="the robot meets the hand"),\n': 'fails="the robot meets the hand"),\n'
+                '    CriterionEntry("centred", "f_centre", "F_centre", 5, "#666666", SPLITS, True, since="0.3.0"),\n',
             },
             "r2h_batch/judge/metrics.py": {"def reach(e: Evidence) -> Criterion:\n": CENTRED},
         },
@@ -137,6 +137,68 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
     assert tree.run(READ + "\nsys.exit()") == shipped
     tree.run(READ + USE_CENTRED)
     tree.passes(*OF_A_CRITERION, *OF_A_COLUMN)
+
+
+ENTRY = """CriterionEntry("centred", "f_centre", "F_centre", 5, "#123456", SPLITS, True, since="0.9", unit="deg",
+                   applies=lambda o: o.split == "S0", function="PLACE", fails="it is held off its middle",
+                   means="how near its middle it is held", behind="stability")"""
+SAY_CENTRED = """
+import json
+from r2h_batch import Evaluator, load_benchmark, verdicts
+from r2h_batch.methods import random
+from r2h_batch.report.figures import COLORS
+from r2h_batch.report.statistics.aggregate import FAILURES
+from r2h_batch.runs.columns import TRIALS
+from r2h_batch.runs.explain import headline
+from r2h_batch.runs.rows import TrialNames, score_rows
+
+benchmark = load_benchmark("r2h-v0")
+evaluator, trials = Evaluator(benchmark), benchmark.trials(40)
+poses = random.predict(trials, evaluator.scene, seed=0)
+scores = evaluator.score(poses.T_obj_ee, poses.T_world_ee, trials, stages="pose")
+rows = score_rows(trials, scores, TrialNames.of(evaluator.scene)).to_pylist()
+failed = [r for r in rows if r["outcome"] == "centred"]
+assert failed and {r["passed_centred"] for r in rows} == {None, True, False}, [r["outcome"] for r in rows]
+order = [e.name for e in verdicts.IN_ORDER]
+print(json.dumps({
+    "entry": [x for x in next(e for e in verdicts.EVERY if e.name == "centred")._replace(applies=None, function="")],
+    "order": order, "columns": [c._replace(type=str(c.type)) for c in TRIALS if "centred" in c.name], "color": COLORS["centred"],
+    "headings": [e.heading for e in FAILURES.values()], "words": [headline(r) for r in failed],
+    "margins": scores.margin[:, 5].nan_to_num(9.0).tolist(), "summary": scores.summary(), "outcomes": scores.outcome.tolist(),
+}))
+"""
+
+
+def test_a_criterion_inside_our_tree_and_the_same_one_of_a_stranger_have_the_same_columns_words_and_verdicts(
+    tmp_path: Path,
+) -> None:
+    function = CENTRED.partition("def reach")[0].rstrip() + "\n"
+    ours = changed_tree(
+        tmp_path / "ours",
+        {
+            "r2h_batch/verdicts.py": {
+                'fails="the robot meets the hand"),\n': 'fails="the robot meets the hand"),\n    '
+                + ENTRY.replace("PLACE", "") + ",\n",
+            },
+            "r2h_batch/judge/metrics.py": {"def reach(e: Evidence) -> Criterion:\n": CENTRED},
+        },
+    )  # fmt: skip
+    heads = "import torch\nfrom r2h_batch.judge.metrics import Criterion, Evidence\n\n\n"
+    words = "from r2h_batch.verdicts import SPLITS, CriterionEntry\n\nENTRY = "
+    theirs = changed_tree(
+        tmp_path / "theirs",
+        {},
+        package={
+            "middle/__init__.py": "",
+            "middle/words.py": words + ENTRY.replace("PLACE", "middle.equation:centred") + "\n",
+            "middle/equation.py": heads + function,
+        },
+        points={"criterion.centred": "middle.words:ENTRY"},
+    )
+    said = [json.loads(tree.run(SAY_CENTRED).splitlines()[-1]) for tree in (ours, theirs)]
+    assert said[0] == said[1] and said[0]["order"][:3] == ["stability", "pick", "centred"]
+    assert all(line.startswith("centred fails: it is held off its middle") for line in said[0]["words"])
+    assert len(theirs.changed) == 0 and len(ours.changed) == 2
 
 
 WORDS = '''"""What the criterion is called; read before anything heavy is imported."""

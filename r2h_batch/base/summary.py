@@ -117,10 +117,9 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "borderline": names("borderline"),
     }
     for k, entry in enumerate(EVERY[: passed.shape[1]]):
-        name = entry.name
         judged = zip(passed[:, k], evaluated[:, k])
-        columns[f"passed_{name}"] = [bool(p) if e else None for p, e in judged]
+        columns[entry.passed_column] = [bool(p) if e else None for p, e in judged]
         columns[entry.margin_column] = margin[:, k]
-        columns[f"margin_kind_{name}"] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
+        columns[entry.kind_column] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
     times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")
     return columns | {name: names(name) for name in times}

@@ -143,11 +143,7 @@ def foreign_rows(
             row |= {"t_plan_s": r.planning_time_s, "t_exec_s": r.execution_time_s}
         rows.append(row)
     further = [entry for entry in REGISTRY if entry.name not in PAPER]
-    unknown = {
-        name
-        for e in further
-        for name in (f"passed_{e.name}", e.margin_column, f"margin_kind_{e.name}")
-    }
+    unknown = {name for e in further for name in (e.passed_column, e.margin_column, e.kind_column)}
     schema = pa.schema([field for field in TRIAL_SCHEMA if field.name not in unknown])
     columns = []
     for field in schema:

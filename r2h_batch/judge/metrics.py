@@ -1,10 +1,8 @@
 """The criteria of the paper (Sec. Evaluation Metrics): one function per equation, each a signed
 margin.
 
-A criterion is a function of this file and the entry of the same name in `verdicts.REGISTRY`, which says
-the margin's unit and which objects it concerns.
-`judge` calls the functions in the order of the registry. Stored columns, rates, tables and charts
-derive from the registry.
+A criterion is an entry of `verdicts.EVERY`, which says what it is called, the margin's unit, which objects it concerns, and
+where its function is: here, or in another package. `judge` calls the functions in the order of the entries.
 """
 
 from collections.abc import Callable
@@ -26,12 +24,11 @@ from r2h_batch.kernels.judge import reach as reach_kernels
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import (
-    CRITERIA,
-    EVERY,
     CriterionEntry,
     MarginKind,
     PickReason,
     PlanReason,
+    criteria_of,
 )
 
 if TYPE_CHECKING:
@@ -93,8 +90,7 @@ class Evidence:
 
 def judge(evidence: Evidence) -> list[Criterion]:
     """The benchmark's criteria, in the order of their columns; evaluated where they concern the object."""
-    entries = EVERY[: len(CRITERIA) + len(evidence.scene.benchmark.asks)]
-    return [_criterion(entry, evidence) for entry in entries]
+    return [_criterion(entry, evidence) for entry in criteria_of(evidence.scene.benchmark.asks)]
 
 
 def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:
@@ -107,11 +103,8 @@ def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:
 
 @lru_cache(maxsize=64)
 def _function(entry: CriterionEntry) -> Callable[[Evidence], Criterion]:
-    """The equation: of this file, or of the module that the entry names."""
-    module, _, name = entry.function.rpartition(":")
-    found: Callable[[Evidence], Criterion] = (
-        getattr(import_module(module), name) if module else globals()[entry.name]
-    )
+    module, name = entry.equation
+    found: Callable[[Evidence], Criterion] = getattr(import_module(module), name)
     return found
 
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from r2h_batch.verdicts import (
-    ASKED_NAMES,
     EVERY,
     CollidingPair,
     CriterionEntry,
@@ -68,7 +67,7 @@ _REASONS = _words(reason.name for reason in PlanReason)
 
 
 def _asked(entry: CriterionEntry) -> str:
-    return entry.name if entry.name in ASKED_NAMES else ""
+    return entry.name if entry.asked else ""
 
 
 # fmt: off
@@ -91,14 +90,14 @@ TRIALS = (
     Column("outcome", NAME,
            f"`success`, the first failure ({_FAILURES}), `invalid_input`, `invalid_sim`, or `missing`: no answer",
            nullable=False),
-    *(Column(f"passed_{entry.name}", BOOL, "whether the criterion passed; null: not evaluated", since=entry.since,
+    *(Column(entry.passed_column, BOOL, "whether the criterion passed; null: not evaluated", since=entry.since,
              asked=_asked(entry))
       for entry in EVERY),
     *(Column(entry.margin_column, FLOAT,
              "positive when the criterion passes, except for Plan with [sampled edges](choices.md#plan)", entry.unit,
              since=entry.since, asked=_asked(entry))
       for entry in EVERY),
-    *(Column(f"margin_kind_{entry.name}", NAME,
+    *(Column(entry.kind_column, NAME,
              "[`distance`, `bound` or `cap`](choices.md#margins). Leave caps out of averages",
              since=entry.since or "0.2.0", asked=_asked(entry))
       for entry in EVERY),

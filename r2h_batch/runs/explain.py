@@ -47,13 +47,6 @@ PICKS = {
     "path_collides": "the path to the object, planned in what was seen, meets something",
 }
 """Pick's reasons in words."""
-FAILS = {
-    "stability": "the gripper does not hold it",
-    "reach": "the hand does not reach the object",
-    "affordance": "the gripper holds the receiver's part",
-    "safe": "the robot meets the hand",
-}
-"""Meaning of a failed criterion; `headline` adds by how much."""
 PAIRS = {
     "hand": "robot and hand", "table": "robot and table", "self": "robot and robot",
     "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
@@ -117,9 +110,9 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         return f"{words}nothing lies between the pads"
     if outcome == "stability":
         words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
-    text = FAILS.get(outcome)
-    if text is None or not by:
-        return f"{words}{text or ''}".rstrip(" :,")
+    text = ENTRIES[outcome].fails
+    if not text or not by:
+        return f"{words}{text}".rstrip(" :,")
     return f"{words}{text}, by {by}"
 
 

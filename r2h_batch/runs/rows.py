@@ -182,10 +182,9 @@ def score_rows(
         columns["received_reason"] = _named(reason, [r.name.lower() for r in ReceiveReason])
         columns["received_grasps"] = pa.array(grasps, pa.int32(), mask=grasps < 0)
     for i, entry in enumerate(EVERY[: passed.shape[1]]):
-        c = entry.name
-        columns[f"passed_{c}"] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
+        columns[entry.passed_column] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[entry.margin_column] = _floats(margin[:, i])
-        columns[f"margin_kind_{c}"] = _named(kind[:, i] - 1, KINDS)
+        columns[entry.kind_column] = _named(kind[:, i] - 1, KINDS)
     schema = schema_of_kind("trials", asks=scores.criteria)
     own = [c for c in TRIALS if c.name in schema.names]
     return pa.table(_stored(scores, own, columns), schema=schema)

@@ -40,7 +40,7 @@ from r2h_batch.runs.methods import Entry, read_methods
 from r2h_batch.runs.plugged import lacking
 from r2h_batch.runs.side import read_side, side_path
 from r2h_batch.runs.verify import first_problem
-from r2h_batch.verdicts import ASKED_NAMES, EVERY, REGISTRY, CriterionEntry
+from r2h_batch.verdicts import ASKED_NAMES, REGISTRY, CriterionEntry, criteria_of
 
 if TYPE_CHECKING:
     import pandas
@@ -106,7 +106,7 @@ class Run:
     @property
     def criteria(self) -> tuple[CriterionEntry, ...]:
         """All that its benchmark asks for, in the order of the stored columns."""
-        return EVERY[: len(REGISTRY) + len(self.asks)]
+        return criteria_of(self.asks)
 
     @property
     def lacking(self) -> tuple[str, ...]:

@@ -8,19 +8,11 @@ import numpy as np
 
 from r2h_batch.base.table import Column, Table, document, notes_list, plain
 from r2h_batch.runs.explain import LEAST, PAIRS, headline
-from r2h_batch.verdicts import CRITERIA, EVERY, UNITS, Unit
+from r2h_batch.verdicts import EVERY, UNITS, CriterionEntry
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.postures import Postures
 from r2h_batch.view.stored_trial import StoredTrial
 
-MEANING = {
-    "stability": "room left between the pads and at the ends of their stroke",
-    "plan": "smallest distance to an obstacle along the path",
-    "reach": "how far the object reaches into the ball in front of the palm",
-    "affordance": "distance from the fingers to the receiver's part of the object",
-    "safe": "smallest distance from the robot to the hand",
-}
-"""Meaning of each margin; a criterion that is not named here has no tooltip."""
 LEGEND = {
     "target": "requested pose",
     "region": "the receiver's part",
@@ -99,19 +91,18 @@ def as_html(drawing: Drawing) -> str:
 def _criteria(drawing: Drawing) -> Table:
     """Verdict and margin of each criterion."""
     row, found = drawing.stored.row, []
-    for name in (e.name for e in EVERY if e.name in CRITERIA or f"passed_{e.name}" in row):
-        passed = row.get(f"passed_{name}")
+    for entry in (e for e in EVERY if not e.asked or e.passed_column in row):
+        passed = row.get(entry.passed_column)
         verdict = "not evaluated" if passed is None else "passes" if passed else "fails"
-        record = {"criterion": name, "verdict": verdict, "margin": _margin(row, name)}
-        found.append(record | {"meaning": MEANING.get(name)})
+        record = {"criterion": entry.name, "verdict": verdict, "margin": _margin(row, entry)}
+        found.append({**record, "meaning": entry.means or None})
     names = Column("criterion", left=True, about="meaning")
     return Table((names, Column("verdict"), Column("margin")), found)
 
 
-def _margin(row: dict[str, Any], name: str) -> str:
+def _margin(row: dict[str, Any], entry: CriterionEntry) -> str:
     """A margin with its unit. What saturates is no distance, and is not printed as one."""
-    column, unit = _margin_column(name)
-    size, kind = row.get(column), row.get(f"margin_kind_{name}")
+    size, kind, unit = row.get(entry.margin_column), row.get(entry.kind_column), UNITS[entry.unit]
     if size is None or not np.isfinite(size):
         return ""
     if kind == "cap":
@@ -119,12 +110,6 @@ def _margin(row: dict[str, Any], name: str) -> str:
     shown = unit.scale * size
     words = f"0 {unit.shown}" if abs(shown) < LEAST else f"{shown:+.1f} {unit.shown}"
     return f"{words}{' or less' if kind == 'bound' else ''}"
-
-
-def _margin_column(name: str) -> tuple[str, Unit]:
-    """The stored column of a criterion's margin, and how it is shown."""
-    entry = next(entry for entry in EVERY if entry.name == name)
-    return entry.margin_column, UNITS[entry.unit]
 
 
 def _facts(drawing: Drawing) -> list[str]:
