@@ -55,3 +55,10 @@ def test_every_class_of_error_that_a_user_meets_is_of_the_family():
     built_in = {n for n, c in vars(builtins).items() if isinstance(c, type) and issubclass(c, BaseException)}
     assert {"FileError", "UsageError", "RunError", "RenderError"} < family
     assert {name for name, above in others.items() if above & built_in} == CONTROL
+
+
+def test_the_only_word_that_begins_as_the_given_one_is_the_nearest():
+    names = ["r2h-v1", "r2h-v2", "r2h-v3-draft"]
+    assert errors.nearest("r2h-v3", names) == ", did you mean r2h-v3-draft?"
+    assert errors.nearest("r2h-v", names) == ", did you mean r2h-v2?"  # several begin so: the nearest letters
+    assert errors.nearest("zzzz", names) == ""

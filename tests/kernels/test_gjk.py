@@ -180,6 +180,20 @@ def test_bodies_that_overlap_never_have_a_positive_bound():
         assert lower[met].max() <= 0.0
 
 
+def test_solid_cores_that_overlap_have_the_distance_zero_and_no_direction():
+    """The estimate too: a direction of rounding would be a gradient, and a small one a distance."""
+    pairs = Pairs(
+        *np.array(list(itertools.product((2, 3, 4), repeat=2))).repeat(40, axis=0).T, np.random.default_rng(14)
+    )
+    pairs.p = (pairs.p * 1e-3).astype(np.float32)  # the centres lie within each other
+    a, b = pairs.twin()
+    radii = a.ball + b.ball
+    lower, upper, _, v = pairs.run()
+    met = pairs.truth()[1] + radii <= 0.0
+    assert met.mean() > 0.5
+    assert not v[met].any() and np.abs(upper + radii)[met].max() <= 1e-7 and (lower <= -radii + 1e-7)[met].all()
+
+
 def test_stopping_early_still_certifies_what_was_asked():
     rng = np.random.default_rng(5)
     pairs = Pairs(*every_pair_of_kinds(50), rng)

@@ -1,6 +1,7 @@
 """Trials: objects and hands by turns, the reachable set, independence, frozen draws."""
 
 from collections import Counter
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,7 +12,7 @@ from hand_twins import palms
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import rng
-from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig
+from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand_set
@@ -113,3 +114,14 @@ def test_no_trial_starts_in_collision():
     into.T_world_hand[:, :3, 3] += torch.from_numpy(shift).float()
     reasons = evaluator.score(grasp[:8], out_of_reach[:8], into).plan_reason
     assert reasons.unique().tolist() == [int(PlanReason.START_IN_COLLISION)]
+
+
+@pytest.mark.parametrize("protocol", ["r2h-v0", "r2h-v1"])
+def test_a_table_that_leaves_no_place_for_a_hand_is_told_in_seconds(protocol):
+    everywhere = EvalConfig(workplace=Workplace(table_center=(0.6, 0.0, 0.3), table_half=(5.0, 5.0, 5.0)))
+    with pytest.raises(
+        ValueError, match=r"no place for a hand where r2h-v\d draws them: .*Table \(center \(0.6, 0.0, 0.3\)"
+    ):
+        replace(load_benchmark(protocol), workplace=everywhere.workplace, thresholds=everywhere.thresholds).trials(
+            40, splits=("S0",)
+        )
