@@ -1,5 +1,6 @@
 """Each criterion's margin against float64 NumPy and trimesh; when touching passes; where a criterion is defined."""
 
+import sys
 from functools import cache
 from types import SimpleNamespace
 from typing import Any
@@ -22,7 +23,7 @@ from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.judge.scores import verdict
 from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
-from r2h_batch.verdicts import REGISTRY
+from r2h_batch.verdicts import REGISTRY, SPLITS, CriterionEntry
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
 N = 256
@@ -297,3 +298,17 @@ def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overl
     found = bound_with_slack(distance, torch.full_like(distance, 0.002))
     expected = torch.tensor([0.028, -1e-6, -1e-6, -1e-6, -0.028, torch.nan])
     torch.testing.assert_close(found, expected, equal_nan=True)
+
+
+def test_a_criterion_of_some_objects_is_evaluated_where_it_is_and_the_object_is_one_of_them(monkeypatch):
+    """Neither alone: what a failed stage leaves open stays open for the objects that the criterion concerns."""
+    evaluated = torch.tensor([True, True, False, False])
+    rule = SimpleNamespace(rule=lambda e: metrics.Criterion(torch.zeros(4), evaluated))
+    monkeypatch.setitem(sys.modules, "a_rule", rule)
+    every = CriterionEntry("every", "f_every", "F_every", 5, "#666666", SPLITS, True, function="a_rule:rule")
+    cups = every._replace(name="cups", applies=lambda o: o == "cup")
+    monkeypatch.setattr(metrics, "criteria_of", lambda asks: (every, cups))
+    scene = SimpleNamespace(objects=("cup", "hammer"), benchmark=SimpleNamespace(asks=()))
+    held = SimpleNamespace(objects=torch.tensor([0, 1, 0, 1], dtype=torch.int32))
+    found = metrics.judge(SimpleNamespace(scene=scene, held=held))
+    assert [x.evaluated.tolist() for x in found] == [evaluated.tolist(), [True, False, False, False]]
