@@ -56,13 +56,13 @@ def same(a, b):
 
 def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(cold, monkeypatch):
     runs = []
-    for workers in each([0, 1, 2]):
+    for workers, how in each([(0, "fork"), (1, "spawn"), (2, "fork")]):
         monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
         forget()
         pairs = stream(load_benchmark(), FAMILIES, workers=workers, **SIZES)
         assert len(pairs.left_out.names if pairs.left_out else pairs.names) == 6
-        loaded = [[*DataLoader(pairs, None, num_workers=2, multiprocessing_context=how)] for how in ("fork", "spawn")]
-        runs += [[*pairs], *loaded, [pairs.item(i) for i in range(7)]]
+        loaded = [*DataLoader(pairs, None, num_workers=2, multiprocessing_context=how)]
+        runs += [[*pairs], loaded, [pairs.item(i) for i in range(7)]]
         pairs.close()
     for run in each(runs[1:]):
         assert len(run) == 7 and all(same(a, b) for a, b in zip(runs[0], run, strict=True))
