@@ -269,17 +269,26 @@ def with_receipt(path, receipt):
 def with_a_fatal_footer(data):
     """The bytes with one bit of the footer flipped so that pyarrow aborts."""
     size = int.from_bytes(data[-8:-4], "little")
-    for bit in range(8 * (len(data) - 8 - size), 8 * (len(data) - 8)):
-        flipped = bytearray(data)
-        flipped[bit // 8] ^= 1 << bit % 8
-        if not (child := os.fork()):
-            faulthandler.disable()
-            os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
-            with contextlib.suppress(Exception), pq.ParquetFile(io.BytesIO(bytes(flipped))) as file:
+
+    def flipped(bit):
+        found = bytearray(data)
+        found[bit // 8] ^= 1 << bit % 8
+        return bytes(found)
+
+    told, tell = os.pipe()
+    if not (child := os.fork()):  # says which bit it tries, and dies of one
+        faulthandler.disable()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        for bit in range(8 * (len(data) - 8 - size), 8 * (len(data) - 8)):
+            os.write(tell, bit.to_bytes(8, "little"))
+            with contextlib.suppress(Exception), pq.ParquetFile(io.BytesIO(flipped(bit))) as file:
                 check_decoded_size(file, 1 << 60, "")
-            os._exit(0)
-        if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) < 0:
-            return bytes(flipped)
+        os._exit(0)
+    os.close(tell)
+    with os.fdopen(told, "rb") as words:
+        tried = words.read()
+    if os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) < 0:
+        return flipped(int.from_bytes(tried[-8:], "little"))
     raise AssertionError("no bit of this footer aborts pyarrow: the test has nothing to show")
 
 
