@@ -63,6 +63,7 @@ class Report:
     def __init__(self, measures: Sequence[str] = ()) -> None:
         self.measures = measures
         self.values: dict[str, float | int | str | bool] = {}
+        self.beside: dict[str, Any] = {}
 
     def add(self, name: str, value: float | int | str | bool) -> None:
         """Prints and keeps one figure; `name` is `bench.metric`, a name can be given once."""
@@ -73,10 +74,12 @@ class Report:
         print(name, f"{value:.6g}" if isinstance(value, float) else value, flush=True)
 
     def write(self, path: str | Path | None) -> None:
-        """Writes the figures with where they come from; nothing if `path` is None."""
+        """Writes the figures, what stands beside them, and where they come from (unless that stands there already: parts of an
+        earlier JSON); nothing if `path` is None."""
         if path is None:
             return
-        data = {"values": self.values, **made_by(self.measures)}
+        data = ({"values": self.values} if self.values else {}) | self.beside
+        data |= {} if "commit" in data else made_by(self.measures)
         Path(path).parent.mkdir(parents=True, exist_ok=True)
         Path(path).write_text(json.dumps(data, indent=1) + "\n")
 

@@ -3,7 +3,6 @@
 `python bench/closed_loop.py` plays the shipped baselines of the default benchmark in closed loop and measures the cost on the
 oracle's poses (process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process,
 for memory, and writes closed_loop_growth.json.
-`--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -13,11 +12,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, Report, core_ms, made_by, markdown_table, memory_over, page_from
+from _report import ROOT, Report, core_ms, markdown_table, memory_over
 from _rows import rate_over_categories
+from run import Bench
 
-PAGE = ROOT / "docs" / "results" / "moving.md"
-STORED = ROOT / "bench" / "results" / "closed_loop.json"
 MEASURES = (
     "bench/closed_loop.py",
     "kernels",
@@ -31,39 +29,8 @@ MEASURES = (
     "r2h_batch/closed_loop",
 )
 CASES = (("still", "planned"), ("moves", "planned"), ("moves", "stop"), ("moves", "servo"), ("moves", "replan"))
-GROWN = STORED.with_name("closed_loop_growth.json")
+GROWN = ROOT / "bench" / "results" / "closed_loop_growth.json"
 SIZES = (16, 80)
-
-HEAD = """# Receivers that move
-
-See how often each method succeeds when the hand moves ([definitions](../receivers.md#receivers-that-move)). `python
-bench/closed_loop.py --trials {n}` played the shipped poses of the first {n} trials of each split of {benchmark}
-(bench/results/closed_loop.json, commit {commit}).
-
-## Successes
-
-Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects. A column names hand
-and policy. In `moves` the hand leaves the pose that the method saw.
-
-{table}
-
-## How episodes end
-
-Percent of all trials, mean of the four published methods. The last two columns are means of the methods' medians: the time
-of successes, and the least distance between robot and hand.
-
-{ends}
-
-- Short motions have an advantage: some end before the hand moves.
-- With `still` a few trials succeed that fail in SR. Their object is slow and within reach at home or on the way.
-- Arm and torso count, as in SR.
-
-## Cost
-
-`moves` with `servo`, poses of the oracle, process time of one thread:
-
-{cost}
-"""
 
 
 def answers(trials: int, *only: str) -> tuple[list[str], int, Any]:
@@ -162,8 +129,14 @@ def growth(trials: int) -> dict[str, Any]:
     return memory_over(trials, again)
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
-    """All figures of the page."""
+def measure(options: argparse.Namespace, report: Report) -> dict[str, Any]:
+    """All figures of the page; or memory, and nothing else."""
+    if options.growth:
+        options.json, grown = GROWN, growth(options.growth)
+        report.add("closed_loop_growth.episodes", grown["trials"])
+        report.add("closed_loop_growth.memory_mib_first", grown["mib"][0])
+        report.add("closed_loop_growth.memory_mib_most", max(grown["mib"]))
+        return {}
     from r2h_batch import load_benchmark
 
     trials = options.trials
@@ -184,12 +157,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "asked": {"split": asked.splits, "category": own},
         "methods": methods,
         "cost": cost(scores[rows["oracle"]]),
-        **made_by(MEASURES),
     }
 
 
-def markdown(data: dict[str, Any]) -> str:
-    """The page."""
+def shown(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     from r2h_batch.report.text import short_names
 
     methods, short = data["methods"], short_names(list(data["methods"]))
@@ -214,34 +186,27 @@ def markdown(data: dict[str, Any]) -> str:
         "distance, cm",
     ]
     costs = [[r["trials"], f"{r['s_a_trial']:.2f}", f"{r['whole']:.2f}"] for r in data["cost"]]
-    return HEAD.format(
-        n=data["trials"],
-        benchmark=data["benchmark"],
-        commit=str(data["commit"])[:12],
-        table=markdown_table(["Method", "SR", *cases], rows),
-        ends=markdown_table(head, ends),
-        cost=markdown_table(["trials at once", "s a trial", "ms a trial and step"], costs),
-    )
+    return {
+        "table": markdown_table(["Method", "SR", *cases], rows),
+        "ends": markdown_table(head, ends),
+        "cost": markdown_table(["trials at once", "s a trial", "ms a trial and step"], costs),
+    }
 
 
 def _mean(values: Iterable[float]) -> float:
     return float(np.mean(list(values)))
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=50, help="of each split")
-    parser.add_argument("--growth", type=int, metavar="N", help="memory over N episodes, and nothing else")
-    grown = parser.parse_known_args()[0].growth
-    if grown:
-        report = Report(MEASURES)
-        report.add("closed_loop_growth.episodes", (found := growth(grown))["trials"])
-        report.add("closed_loop_growth.memory_mib_first", found["mib"][0])
-        report.add("closed_loop_growth.memory_mib_most", max(found["mib"]))
-        report.write(GROWN)
-    else:
-        page_from(parser, STORED, PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--trials": {"default": 50, "help": "of each split"},
+        "--growth": {"type": int, "metavar": "N", "help": "memory over N episodes, and nothing else"},
+    },
+    stored="closed_loop",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

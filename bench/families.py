@@ -726,6 +726,20 @@ def network_lines(data: Mapping[str, Any]) -> str:
     return "\n\n".join(parts)
 
 
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What pages show. failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the
+    splits, percent; axes.region, .region_turned: areas of the contact network on unseen instances."""
+    found = {f"failures.{k}": max(own.values()) for k, own in data["orders"]["r2h-v2"]["failures"].items()}
+    network = network_report()
+    lies, turned = network["unseen_instances"].values()
+    found |= {"axes.region": lies["region"], "axes.region_turned": turned["region"]}
+    return found | {
+        f"axes.left_out.{name}": own["as it lies"]["region"]
+        for name, own in network["left_out"].items()
+        if "region" in own["as it lies"]
+    }
+
+
 def markdown(data: Mapping[str, Any]) -> str:
     """docs/results/families.md."""
     spread, needs = spread_lines(data)

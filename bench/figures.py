@@ -13,15 +13,18 @@ A page holds a template in a comment, and below it the text that is made of it:
 
     <!-- end -->
 
-A name in braces is a figure of any JSON in bench/results, or NAME.made.commit (cpu, cores, load, date, seconds) of NAME.json.
-`*1000` after the name multiplies. `:~2` rounds to two significant digits; any other format is Python's.
+A name in braces is a figure of any JSON in bench/results, NAME.made.commit (cpu, cores, load, date, seconds) of NAME.json, or
+what `shown` of bench/NAME.py gives of its JSON: tables and words. NAME.a.b is `data["a"]["b"]`. `*1000` after the name
+multiplies. `:~2` rounds to two significant digits; any other format is Python's.
 """
 
 import argparse
+import importlib
 import json
 import math
 import re
-from collections.abc import Iterable, Mapping
+import sys
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,6 +40,19 @@ CHANGED_SHARE = 0.25
 """A page may not show figures after so large a part of the measured files has changed: measure again."""
 
 
+ORIGIN = ("hardware", "measures", "source", "versions")
+"""Parts of a JSON that hold no figures."""
+
+
+def paths(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Path and value of all numbers and words below a value."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from paths(".".join((name, re.sub(r"\W", "_", str(key)))), inner)
+    elif not isinstance(value, list):
+        yield name, value
+
+
 @dataclass(frozen=True)
 class Measured:
     """A bench's JSON."""
@@ -46,11 +62,13 @@ class Measured:
 
     @property
     def values(self) -> dict[str, Any]:
-        """Figures, and NAME.made.*: where they come from."""
+        """Figures, numbers and words of the JSON by their path (`_` for what is not a word), and NAME.made.*: where they come
+        from."""
         hardware = self.data.get("hardware", {})
         made = {k: hardware.get(k) for k in ("cpu", "cores")} | {"load": hardware.get("load_at_start")}
         made |= {k: self.data.get(k) for k in ("commit", "date", "seconds")}
-        return dict(self.data.get("values", {})) | {f"{self.name}.made.{k}": v for k, v in made.items()}
+        inner = {k: v for k, v in self.data.items() if k not in ("values", *ORIGIN)}
+        return dict(self.data.get("values", {})) | dict(paths(self.name, inner | {"made": made}))
 
     def lacks(self) -> list[str]:
         """Names of what says where the figures come from and is missing."""
@@ -116,33 +134,6 @@ def rendered(text: str, values: Mapping[str, Any]) -> str:
     return BLOCK.sub(lambda block: block[1] + filled(block["template"], values) + block[4], text)
 
 
-def of_sensitivity() -> dict[str, Any]:
-    """Success rates of docs/results/sensitivity.json (bench/sensitivity.py): sensitivity.VARIANT.METHOD.sr of both splits
-    (.s0, .s1), with `_` for what is not a word; sensitivity.trials, sensitivity.benchmark."""
-    data = json.loads((ROOT / "docs" / "results" / "sensitivity.json").read_text())
-    found = {"sensitivity.trials": data["trials"], "sensitivity.benchmark": data["benchmark"]["name"]}
-    for variant in data["variants"]:
-        for method, rates in variant["rates"].items():
-            name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")
-            found |= {f"sensitivity.{name}.{k.lower()}": rates[k]["sr"] for k in ("S0", "S1")}
-            found[f"sensitivity.{name}.sr"] = rates["Avg"]["sr"]
-    return found
-
-
-def of_families(data: Mapping[str, Any]) -> dict[str, Any]:
-    """families.failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the splits,
-    percent; families.axes.region, .region_turned: areas of the contact network on unseen instances."""
-    found = {f"families.failures.{k}": max(own.values()) for k, own in data["orders"]["r2h-v2"]["failures"].items()}
-    network = json.loads((ROOT / "assets/families/voxnet_axes.json").read_text())
-    lies, turned = network["unseen_instances"].values()
-    found |= {"families.axes.region": lies["region"], "families.axes.region_turned": turned["region"]}
-    return found | {
-        f"families.axes.left_out.{name}": own["as it lies"]["region"]
-        for name, own in network["left_out"].items()
-        if "region" in own["as it lies"]
-    }
-
-
 def of_assets() -> dict[str, Any]:
     """Figures of reports in assets/, of training and of measured hands: voxnet.*, hand_errors.*, people_report.*."""
     left_out = json.loads((ROOT / "assets/receiving/voxnet.json").read_text())
@@ -163,20 +154,26 @@ def of_assets() -> dict[str, Any]:
     return found | {"people_report.held_least": min(held), "people_report.held_most": max(held)}
 
 
-def all_values(measured: Iterable[Measured]) -> dict[str, Any]:
-    """Figures of all JSON files."""
-    found = of_sensitivity() | of_assets()
-    for one in measured:
+def used(text: str) -> set[str]:
+    """Names of the figures in the templates of a page."""
+    return {field["name"] for block in BLOCK.finditer(text) for field in FIELD.finditer(block["template"])}
+
+
+def all_values(measured: Mapping[str, Measured], texts: Iterable[str]) -> dict[str, Any]:
+    """Figures of all JSON files and of assets, and what benches show of theirs, as far as these pages ask for it."""
+    found = of_assets()
+    for one in measured.values():
         found |= one.values
-        if one.name == "families":
-            found |= of_families(one.data)
+    for name in sorted({asked.partition(".")[0] for text in texts for asked in used(text) - found.keys()}):
+        if (ROOT / "bench" / f"{name}.py").exists():
+            data = measured[name].data if name in measured else {}
+            found |= {f"{name}.{key}": value for key, value in importlib.import_module(name).shown(data).items()}
     return found
 
 
 def cited(text: str, measured: Mapping[str, Measured]) -> set[str]:
     """Names of the JSON files that a page takes figures from, or names."""
-    used = {field["name"] for block in BLOCK.finditer(text) for field in FIELD.finditer(block["template"])}
-    return {*CITED.findall(text)} | {name for name, one in measured.items() if used & one.values.keys()}
+    return {*CITED.findall(text)} | (measured.keys() & {name.partition(".")[0] for name in used(text)})
 
 
 def listing(measured: Mapping[str, Measured]) -> str:
@@ -205,19 +202,31 @@ def listing(measured: Mapping[str, Measured]) -> str:
     return markdown_table(["bench/results", "s", "commit", "load", "cited by", "figures"], rows, left=True)
 
 
+def changed() -> dict[Path, str]:
+    """Pages whose figures are other ones, as they have to be."""
+    texts = {page: page.read_text("utf-8") for page in pages()}
+    values = all_values(stored(), texts.values())
+    return {page: after for page, text in texts.items() if (after := rendered(text, values)) != text}
+
+
+def write() -> None:
+    """Writes the figures of all pages again."""
+    for page, text in changed().items():
+        page.write_text(text, "utf-8")
+        print(page.relative_to(ROOT))
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="write the figures of all pages again")
-    measured = stored()
-    if not parser.parse_args().write:
-        print(listing(measured))
+    if parser.parse_args().write:
+        write()
         return
-    values = all_values(measured.values())
-    for page in pages():
-        before = page.read_text("utf-8")
-        if (after := rendered(before, values)) != before:
-            page.write_text(after, "utf-8")
-            print(page.relative_to(ROOT))
+    print(listing(stored()))
+    if other := changed():
+        sys.exit(
+            f"other figures than in the JSON: {', '.join(p.relative_to(ROOT).as_posix() for p in other)}; give --write"
+        )
 
 
 if __name__ == "__main__":

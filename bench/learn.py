@@ -2,8 +2,7 @@
 
 `python bench/learn.py --runs FOLDER [--scans FOLDER]` trains three seeds and four folds of left-out categories into the folder,
 or goes on there, and judges what they choose on r2h-v2, motion as planned. SCANS: a folder of meshes of yours. Part `recipes`
-trains without two of the folds and judges on new instances of these, to choose a recipe by. `--render` writes the page again
-from bench/results/learn.json.
+trains without two of the folds and judges on new instances of these, to choose a recipe by.
 """
 
 import argparse
@@ -19,10 +18,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import families
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, memory_over, page_from, swept
+from _report import ROOT, Report, made_by, markdown_table, memory_over
+from run import Bench
 
 if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
@@ -30,7 +29,7 @@ if TYPE_CHECKING:
     from r2h_batch.scene.objects import ObjectModel
     from r2h_batch.types import Predictions
 
-STORED, PAGE = ROOT / "bench" / "results" / "learn.json", ROOT / "docs" / "results" / "learned.md"
+STORED = ROOT / "bench" / "results" / "learn.json"
 MEASURES = (
     *("bench/learn.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
@@ -56,8 +55,6 @@ REGION = 0.4
 STEPS = 30
 NEAR = 192
 """Pairs of the second round."""
-TURNED = 240
-"""Trials of a split of the turn test."""
 STREAMED = 10**7
 """Pairs over which memory is measured."""
 REGIONS, TRIALS_OF_REGIONS = "* x 2 seed 77", 1000
@@ -94,8 +91,6 @@ LIMITS = {
 GRASPS_OF = ("drawn for the instance", "drawn for the region")
 """Grasp candidates that the ranker chooses from."""
 KINDS = ("a part", "all but a part", "one side of a plane")
-FORMER = "6c44abfab43201033cf228438456d64776e1e97a"
-"""Figures of this commit are of the weights that shipped before."""
 ROWS = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 BESIDE = ("learned", "intent")
 """Shipped rows whose objects receivers try to take; the first is compared with the second."""
@@ -438,7 +433,7 @@ def same_for_workers() -> bool:
     return len(same) > 100 and all(same)
 
 
-class Bench:
+class Study:
     """The parts of the page; each gives keys of the JSON."""
 
     def __init__(self, options: argparse.Namespace) -> None:
@@ -577,11 +572,6 @@ class Bench:
             "workers": same_for_workers(),
         }
 
-    def turned(self) -> dict[str, Any]:
-        """The turn test."""
-        rows = swept(self.options.runs / "rows", "--method", "learned", "--trials", TURNED, *families.V2)
-        return {"turned": families.turned(rows, TURNED, ("learned",))}
-
     def received(self) -> dict[str, Any]:
         """Whether receivers can take, and do take, what it hands over."""
         return {"received": handed_over(ROWS, self.options.received)}
@@ -608,14 +598,14 @@ class Bench:
 
 PARTS = (
     *("seeds", "variants", "folds", "scans", "regions", "recipes", "costs"),
-    *("turned", "received", "generator", "policy", "memory", "drawing"),
+    *("received", "generator", "policy", "memory", "drawing"),
 )
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """Everything on the page, or some parts of it: the others stay as the JSON has them. The JSON says each part's commit."""
     torch.set_num_threads(1)
-    bench, made = Bench(options), made_by(MEASURES)
+    bench, made = Study(options), made_by(MEASURES)
     found: dict[str, Any] = {} if {*PARTS} == {*options.parts} else json.loads(STORED.read_text())
     commits = found.get("commits", {name: found.get("commit") for name in PARTS})
     for name in options.parts:
@@ -626,206 +616,79 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return found | made_by(MEASURES) | {"commits": commits}
 
 
-HEAD = """# A method that learned
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
+    from r2h_batch.learning.rank import Recipe
+    from r2h_batch.methods.learned import FIRST, TOP
+    from r2h_batch.protocols.family_objects import planned_objects
+    from r2h_batch.scene.objects import S0_NAMES
 
-`r2h-batch train rank` trains a network of {kb:.0f} kB that ranks pairs of grasp candidate and handover pose
-([how](../training_loop.md#train-a-ranker)). It learned from new instances of the families with the evaluator's labels. It saw
-none of the 96 objects and no trial of the benchmark. It sees what Handover-VA sees, asks no judge, and solves no IK. `python
-bench/learn.py` measured {trials} trials of each split of r2h-v2, `--sim none` (bench/results/learn.json; commit {commit},
-load {load:g} at the start).{older}
+    left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
+    functional = [v for c, v in left_out.items() if c not in S0_NAMES]
+    s1 = [v["s1"]["sr"] for v in data["seeds"].values()]
+    shares = {k: v for k, v in data["step"].items() if k != "ms a step"}  # that one is with the profiler
+    base = data["seeds"]["0"]
+    categories = [
+        [c.replace("_", " "), f"{v:.1f}", f"{left_out[c]:.1f}" if c in left_out else "-"]
+        for c, v in base["categories"].items()
+    ]
+    trainings = {k: v for k, v in data["drawing"]["trainings"].items() if k != "same"}
+    made = data["generator"]
+    return {
+        "parts": parts_table(data),
+        "table": rates_table(data),
+        "apart": max(s1) - min(s1),
+        **{"first": FIRST, "second": NEAR, "top": TOP},
+        "categories_left_out": len(functional),
+        "left_out": float(np.mean(functional)),
+        "received_table": received_table(data["received"]),
+        "regions_table": regions_table(data["regions"]),
+        **{"given": GRASPS_OF[0], "anew": GRASPS_OF[1]},
+        **{"folds_chosen_by": len(CHOSEN_BY), "own_trials": OWN_TRIALS, "region_trials": REGION_TRIALS},
+        "recipes_table": recipes_table(data["recipes"]),
+        "generator_s": made["core_seconds"]["labels"] + made["core_seconds"]["train"],
+        "generator_n": next(iter(made["rates"].values()))["trials"],
+        "generator_table": generator_table(made["rates"]),
+        "policy_table": policy_table(data["policy"]),
+        "drawn": len(planned_objects(f"families:{SHORT[1]}")),
+        "trainings": markdown_table(
+            ["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in trainings.items()]
+        ),
+        "seconds": seconds_words(data["spent"] | data["spent of folds"]),
+        "ms": base["ms"],
+        "label_rates": ", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
+        "step_ms": 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps,
+        "shares": ", ".join(f"{k.removeprefix('aten::')} {v:.0f} %" for k, v in shares.items()),
+        "mib": ", ".join(map(str, data["memory"]["mib"])),
+        "categories": markdown_table(["category", "seed 0", "left out"], categories),
+    }
 
-SR in percent; first failures as Plan / Reach / Affordance / Safe.
 
-{table}
-
-{former}{turned}{seeds}- Learned takes the best of {first} random pairs. Second round: {second} more pairs near the best {top} of
-  these are ranked too.
-- Blind: the receiver's region is not told; the same weights.
-{left_out}{scans}
-{received}{regions}{recipes}{generator}{policy}{drawing}## What it costs
-
-- Training, CPU seconds without the drawing of instances: {seconds}.
-- A trial takes {ms:.1f} CPU ms.
-- Labels a CPU second: {labels}.
-- A step of 1,024 pairs takes {step:.0f} CPU ms: {shares}.
-- Items of the stream are {same} for 0, 1 and 2 workers.
-{memory}
-## By category
-
-Success in percent.{categories_note}
-
-{categories}
-"""
+def parts_table(data: Mapping[str, Any]) -> str:
+    """Parts that were measured on other commits."""
+    names: dict[str, list[str]] = defaultdict(list)
+    for name, commit in data["commits"].items():
+        if commit != data["commit"] and {"variants": "blind", "costs": "labels"}.get(name, name) in data:
+            names[commit[:12]].append(name)
+    lines = [[", ".join(parts), commit] for commit, parts in names.items()]
+    return markdown_table(["part measured on another commit", "commit"], lines, left=True)
 
 
-MARK = {True: "success depends on the frame", False: "the frame decides nothing"}
-FORMER_WORDS = """- Of the weights that shipped before: {}. They are not measured again yet.
-"""
-LEFT_OUT = """- Left out: trained without these categories, and judged on their instances alone. Mean of the {} of S1: {:.1f}.
-"""
-NO_FOLDS = """- Networks that never saw a category were not trained for this page: `--folds 4` trains them.
-"""
-SEEDS_DIFFER = """- Seed 0 ships: it was trained and chosen before the others were. In S1 the seeds differ by {:.1f} points.
-"""
-REGIONS_WORDS = """## Regions at random
+def rates_table(data: Mapping[str, Any]) -> str:
+    """SR and first failures of all weights."""
+    lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
+    lines += [[name, *cells(data[name])] for name in ("second round", "blind")]
+    lines += [[f"left out: {', '.join(v['left_out'])}", *cells(v)] for v in data["folds"].values()]
+    lines += [[f"own meshes{words}", *cells(data[f"scans{of}"])] for of, words in OWN_MESHES.items()]
+    return markdown_table(["", "S0", "S1"], lines)
 
-A region is a part, all but a part, or one side of a plane ([how](../training_loop.md#a-stream-to-learn-from)). The network
-that ships did not see these {count} instances. Percent of trials, judged by the pose stage:
 
-{table}
-
-- Candidates {first}: those of the instance with its own region. Candidates {second}: sampled anew, as for an object of
-  yours.
-- Any of its 384 pairs: Learned takes one of these pairs. The ranking loses what Learned has less than this column.
-- A candidate holds: some candidate passes Stability and leaves the region free. In the other trials no method succeeds that
-  takes a candidate.
-- A denser one holds: a candidate does, or one of about 100,000 proposed grasps. In the other trials the gripper finds nothing
-  to hold beside the region.
-
-"""
-RECIPES_WORDS = """## How the recipe was chosen
-
-Each recipe was trained without the categories of {folds} of the folds (seed 0). It was judged on new instances of these
-categories alone. The table has the success of the pose stage in percent, mean of the folds. A fold has {own} trials with the
-families' regions and {other} with regions at random. We looked at no object and no trial of the benchmark, and at no mesh of the
-folder. An item is 256 trials.
-
-{recipes}
-
-"""
-TURNED_WORDS = """- Turned objects ([turn test](../statistics.md#turn-test), {n} trials): SR moves by {low:+.1f} to
-  {high:+.1f} points: {mark}.
-"""
-RECEIVED = """## Can the person take it?
-
-Percent of the first {of} shipped rows of each split (motion simulated). Received: the receiver could take the object
-([reception](reception.md)) from where a simulated closing had put it: r2h_batch 0.3 judged these rows. The column stands again
-with success of the trial. Brackets: the 95 % interval for all categories.
-The last three lines are {first} less {second} on the same trials, in points. Their parentheses count the trials that only
-{first} has, and those that only {second} has.
-
-{table}
-
-{answer}
-
-"""
-POLICY_TIED = (
-    """These trials show no difference between PPO and the servo: the interval of the difference in success holds 0."""
-)
-POLICY = """## A policy beside its control
-
-`examples/learn_ppo.py` trains a network by PPO in closed loop ([how](../howto/reinforcement_learning.md)). It begins as the
-built-in servo, which is its control. It learned in {rounds} rounds from {learned} trials with {instances} new instances. Then
-both played {trials} unseen trials of r2h-v2, {repeats} times each ({cpu:.0f} CPU s). Brackets: the 95 % interval over trials.
-
-{table}
-
-{words}
-
-"""
-DRAWING = """## From an empty cache
-
-An instance with its grasp candidates takes {anew:.2f} CPU s ({candidates:.2f} of them the candidates), and {kept:.3f} from disk.
-The table is of trainings of the [notebook's](../notebooks/learning.md) size, with {count} instances that nobody has drawn
-before. The first two give {same} weights. With `--renew 3` training begins with one instance of each category, and the
-others are drawn meanwhile. Others used the machine too (load {load:.1f} on {cores} cores), so wall times compare these
-lines alone.
-
-{table}
-
-"""
-GENERATOR = """## A generator beside chance
-
-`examples/train_generator.py` trains a small generator on {generator_pairs:,} pairs of the same
-stream ({generator_s:.0f} CPU s). It takes one of the object's candidates and draws a pose for it. Random pairs are those that
-both learned from. Best of 16 and guided ask the judge while they answer, so they are upper bounds. SR in percent of
-{generator_n} trials, half of each split, with 95 % intervals; first failures as Plan / Reach / Affordance / Safe.
-
-{generator}
-
-"""
-MEMORY = """- Memory while a stream gives {:,} pairs: {} MiB after each tenth.
-"""
 OWN_MESHES = {
     ", Intent": ", Intent-Handover",
     "": "",
     ", second round": ", second round",
     ", random": ", random method",
 }
-SCANS = """- Own meshes: {} objects of a folder, modelled by hand: each whole (S0), and with the receiver at one end of its
-  longest side (S1).
-"""
-
-
-def older_parts(data: Mapping[str, Any]) -> str:
-    """A table of the parts that were measured on other commits; empty if there are none."""
-    names: dict[str, list[str]] = defaultdict(list)
-    for name, commit in data.get("commits", {}).items():
-        if commit != data["commit"] and has(data, name):
-            names[commit[:12]].append(name)
-    if not names:
-        return ""
-    lines = [[", ".join(parts), commit] for commit, parts in names.items()]
-    return "\n\n" + markdown_table(["part measured on another commit", "commit"], lines, left=True)
-
-
-def former_words(data: Mapping[str, Any]) -> str:
-    """The line on rows of weights that shipped before."""
-    words = {"variants": "second round, blind", "folds": "left out", "scans": "own meshes"}
-    names = [told for part, told in words.items() if data["commits"].get(part) == FORMER]
-    return FORMER_WORDS.format("; ".join(names)) if names else ""
-
-
-def has(data: Mapping[str, Any], part: str) -> bool:
-    """Whether the JSON holds figures of a part."""
-    return bool(data.get({"variants": "blind", "costs": "labels"}.get(part, part)))
-
-
-def turned_words(tests: Sequence[Mapping[str, Any]]) -> str:
-    """The line on the turn test."""
-    (turn,) = (t for t in tests if t["group"] == "all")
-    moves = [m["points"] for m in turn["moves"]]
-    return TURNED_WORDS.format(n=turn["n"], low=min(moves), high=max(moves), mark=MARK[turn["marked"]])
-
-
-def received_words(own: Mapping[str, Any]) -> str:
-    """The section on receivers who can take the object."""
-    lines, splits = [], {"S0+S1": "both"}
-    for name, of in own["rates"].items():
-        for s, rates in of.items():
-            lines.append([name, splits.get(s, s), *("{:.1f} [{:.0f}, {:.0f}]".format(*rates[k]) for k in HANDED)])
-    first, second = own["rates"]
-    for s, of in own["paired"].items():
-        told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
-        lines.append(["difference", splits.get(s, s), *told])
-    got = own["paired"]["S0+S1"]["received"]
-    than = "more often than" if got["low"] > 0 else "less often than" if got["high"] < 0 else "about as often as"
-    answer = f"People can take what {first} hands over {than} what {second} does."
-    return RECEIVED.format(
-        answer=answer,
-        of=own["of"],
-        first=first,
-        second=second,
-        table=markdown_table(["", "split", *HANDED], lines),
-    )
-
-
-def policy_words(own: Mapping[str, Any]) -> str:
-    """The section on the policy that the example learns."""
-    keys = ("success %", "return", "time s")
-    lines = []
-    for key in keys:
-        more, half = own[f"{key}, ppo - servo"], own[f"{key}, half of the 95 % interval"]
-        ends = f"{more:+.2f} [{more - half:+.2f}, {more + half:+.2f}]"
-        lines.append([key, f"{own[f'{key}, servo']:.2f}", f"{own[f'{key}, ppo']:.2f}", ends])
-    more, half = own["success %, ppo - servo"], own["success %, half of the 95 % interval"]
-    beats = "PPO hands over in more trials than the servo." if more > half else POLICY_TIED
-    beats = "PPO hands over in fewer trials than the servo." if more < -half else beats
-    return POLICY.format(
-        rounds=own["rounds"], learned=own["learned"], instances=own["instances"], trials=own["unseen"],
-        repeats=own["repeats"], cpu=own["cpu s"], words=beats,
-        table=markdown_table(["", "servo", "PPO", "PPO less servo"], lines),
-    )  # fmt: skip
 
 
 def cells(row: Mapping[str, Any]) -> list[str]:
@@ -838,120 +701,83 @@ def cells(row: Mapping[str, Any]) -> list[str]:
     return told
 
 
-def regions_words(own: Mapping[str, Any]) -> str:
-    """The section on regions at random."""
-    rows = []
-    for grasps, kinds in own["ways"].items():
-        for kind, told in kinds.items():
-            rows.append([f"{kind}, {grasps}", told["of"], *(f"{told[k]:.1f}" for k in LIMITS)])
-    return REGIONS_WORDS.format(
-        count=own["objects"], first=GRASPS_OF[0], second=GRASPS_OF[1],
-        table=markdown_table(["region, candidates", "trials", *LIMITS.values()], rows),
-    )  # fmt: skip
+def received_table(own: Mapping[str, Any]) -> str:
+    """Whether people can take what two methods hand over, and the paired difference."""
+    lines, splits = [], {"S0+S1": "both"}
+    for name, of in own["rates"].items():
+        for s, rates in of.items():
+            lines.append([name, splits.get(s, s), *("{:.1f} [{:.0f}, {:.0f}]".format(*rates[k]) for k in HANDED)])
+    for s, of in own["paired"].items():
+        told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
+        lines.append(["difference", splits.get(s, s), *told])
+    return markdown_table(["", "split", *HANDED], lines)
 
 
-def recipes_words(found: Mapping[str, Any]) -> str:
-    """The section on the recipes that were tried."""
-    rows = []
-    for name, folds in found.items():
-        means = [float(np.mean([own[k] for own in folds.values()])) for k in ("s0", "s1", "at random")]
-        rows.append([name, *(f"{x:.1f}" for x in means)])
-    return RECIPES_WORDS.format(
-        folds=len(CHOSEN_BY), own=OWN_TRIALS, other=REGION_TRIALS,
-        recipes=markdown_table(["recipe", "S0", "S1", "regions at random"], rows),
-    )  # fmt: skip
+def policy_table(own: Mapping[str, Any]) -> str:
+    """The policy that the example learns, beside the servo."""
+    lines = []
+    for key in ("success %", "return", "time s"):
+        more, half = own[f"{key}, ppo - servo"], own[f"{key}, half of the 95 % interval"]
+        ends = f"{more:+.2f} [{more - half:+.2f}, {more + half:+.2f}]"
+        lines.append([key, f"{own[f'{key}, servo']:.2f}", f"{own[f'{key}, ppo']:.2f}", ends])
+    return markdown_table(["", "servo", "PPO", "PPO less servo"], lines)
 
 
-def drawing_words(own: Mapping[str, Any], cores: int) -> str:
-    """The section on trainings from an empty cache."""
-    from r2h_batch.protocols.family_objects import planned_objects
-
-    cost, runs = own["instance"], {k: v for k, v in own["trainings"].items() if k != "same"}
-    return DRAWING.format(
-        count=len(planned_objects(f"families:{SHORT[1]}")), anew=cost["drawn anew"], kept=cost["from disk"],
-        candidates=cost["drawn anew, candidates"], same="the same" if own["trainings"]["same"] else "OTHER",
-        load=own["load"], cores=cores,
-        table=markdown_table(["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in runs.items()]),
-    )  # fmt: skip
+def regions_table(own: Mapping[str, Any]) -> str:
+    """Limits on regions at random."""
+    rows = [
+        [f"{kind}, {grasps}", told["of"], *(f"{told[k]:.1f}" for k in LIMITS)]
+        for grasps, kinds in own["ways"].items()
+        for kind, told in kinds.items()
+    ]
+    return markdown_table(["region, candidates", "trials", *LIMITS.values()], rows)
 
 
-def generator_words(own: Mapping[str, Any]) -> str:
-    """The section on the example's generator."""
+def recipes_table(found: Mapping[str, Any]) -> str:
+    """Means over the folds of the recipes that were tried."""
+    keys = ("s0", "s1", "at random")
+    rows = [
+        [name, *(f"{np.mean([own[k] for own in folds.values()]):.1f}" for k in keys)] for name, folds in found.items()
+    ]
+    return markdown_table(["recipe", "S0", "S1", "regions at random"], rows)
+
+
+def generator_table(rates: Mapping[str, Any]) -> str:
+    """The example's generator beside chance."""
     ways = []
-    for name, r in own["rates"].items():
+    for name, r in rates.items():
         failed = "/".join(str(r["outcomes"][k]) for k in (2, 3, 4, 5))
         asks = "yes" if name.startswith(("best", "guided")) else "no"
         ways.append([name, asks, f"{100 * r['rate']:.1f} ({100 * r['low']:.1f}-{100 * r['high']:.1f})", failed])
-    seconds = own["core_seconds"]["labels"] + own["core_seconds"]["train"]
-    return GENERATOR.format(
-        generator_pairs=own["pairs"],
-        generator_s=seconds,
-        generator_n=next(iter(own["rates"].values()))["trials"],
-        generator=markdown_table(["", "asks the judge", "SR", "first failures"], ways),
-    )
+    return markdown_table(["", "asks the judge", "SR", "first failures"], ways)
 
 
-def markdown(data: Mapping[str, Any]) -> str:
-    """The page."""
-    from r2h_batch.learning.rank import Recipe
-    from r2h_batch.methods.learned import FIRST, TOP
-    from r2h_batch.scene.objects import S0_NAMES
-
-    lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
-    lines += [[name, *cells(data[name])] for name in ("second round", "blind") if name in data]
-    lines += [[f"left out: {', '.join(v['left_out'])}", *cells(v)] for v in data["folds"].values()]
-    names = {f"scans{of}": f"own meshes{words}" for of, words in OWN_MESHES.items()}
-    lines += [[words, *cells(data[name])] for name, words in names.items() if name in data]
-    left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
-    functional = [v for c, v in left_out.items() if c not in S0_NAMES]
-    s1 = [v["s1"]["sr"] for v in data["seeds"].values()]
-    step = {k: v for k, v in data["step"].items() if k != "ms a step"}  # that one is with the profiler
-    ms = 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps
-    base = data["seeds"]["0"]
+def seconds_words(spent: Mapping[str, Mapping[str, float]]) -> str:
+    """CPU seconds of each training and of its parts, without the drawing of instances."""
     costs = []
-    for name, own in (data["spent"] | data.get("spent of folds", {})).items():
+    for name, own in spent.items():
         parts = {k: x for k, x in own.items() if k != "instances"}
         costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
-    rows = []
-    for c, v in base["categories"].items():
-        rows.append([c.replace("_", " "), f"{v:.1f}", f"{left_out[c]:.1f}" if c in left_out else "-"])
-    return HEAD.format(
-        kb=data["bytes"] / 1000, older=older_parts(data), trials=data["trials"], commit=str(data["commit"])[:12],
-        load=data["hardware"]["load_at_start"], table=markdown_table(["", "S0", "S1"], lines),
-        seeds=SEEDS_DIFFER.format(max(s1) - min(s1)) if len(s1) > 1 else "- One seed was trained.\n",
-        first=FIRST, second=NEAR, top=TOP,
-        left_out=LEFT_OUT.format(len(functional), float(np.mean(functional))) if functional else NO_FOLDS,
-        categories_note=" Left out: by the network that never saw the category." if left_out else "",
-        former=former_words(data),
-        turned=turned_words(data["turned"]) if "turned" in data else "",
-        received=received_words(data["received"]) if "received" in data else "",
-        regions=regions_words(data["regions"]) if "regions" in data else "",
-        recipes=recipes_words(data["recipes"]) if "recipes" in data else "",
-        generator=generator_words(data["generator"]) if "generator" in data else "",
-        drawing=drawing_words(data["drawing"], data["hardware"]["cores"]) if "drawing" in data else "",
-        policy=policy_words(data["policy"]) if "policy" in data else "",
-        memory=MEMORY.format(data["memory"]["trials"], ", ".join(map(str, data["memory"]["mib"]))) if "memory" in data else "",
-        scans=SCANS.format(data["scans"]["objects"]) if "scans" in data else "",
-        seconds="; ".join(costs),
-        ms=base["ms"], labels=", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
-        step=ms, shares=", ".join(f"{k.removeprefix('aten::')} {v:.0f} %" for k, v in step.items()),
-        same="the same bits" if data["workers"] else "NOT the same",
-        categories=markdown_table(["category", "seed 0", "left out"], rows),
-    )  # fmt: skip
+    return "; ".join(costs)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=Path, default=Path("runs/learn"), help="folder of trainings")
-    parser.add_argument("--scans", type=Path, help="a folder of meshes (.obj) of yours")
-    parser.add_argument("--trials", type=int, default=500, help="of each split")
-    parser.add_argument("--scan-trials", type=int, default=120, help="of each split, on scans")
-    parser.add_argument("--received", type=int, default=500, help="of each split, whose objects receivers try to take")
-    parser.add_argument("--parts", nargs="+", choices=PARTS, default=PARTS, help="measure these, and keep the others")
-    parser.add_argument("--seeds", type=int, default=len(SEEDS), help="how many seeds")
-    parser.add_argument("--folds", type=int, default=len(FOLDS), help="how many folds")
-    page_from(parser, STORED, PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--runs": {"default": Path("runs/learn"), "type": Path, "help": "folder of trainings"},
+        "--scans": {"type": Path, "help": "a folder of meshes (.obj) of yours"},
+        "--trials": {"default": 500, "help": "of each split"},
+        "--scan-trials": {"default": 120, "help": "of each split, on scans"},
+        "--received": {"default": 500, "help": "of each split, whose objects receivers try to take"},
+        "--parts": {"default": PARTS, "choices": PARTS, "help": "measure these, and keep the others"},
+        "--seeds": {"default": len(SEEDS), "help": "how many seeds"},
+        "--folds": {"default": len(FOLDS), "help": "how many folds"},
+    },
+    peer="Intent-Handover and the random method; the servo; random pairs",
+    stored="learn",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

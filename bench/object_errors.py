@@ -1,7 +1,7 @@
 """Success that methods lose where they see the object off its place: docs/results/object_errors.md.
 
 `python bench/object_errors.py` lets every method answer once and judges its answers, motion as planned, with the object's
-frame seen true, at each level of `--object-errors`, and with gross errors. `--render` writes the page again from the JSON.
+frame seen true, at each level of `--object-errors`, and with gross errors.
 """
 
 import argparse
@@ -11,9 +11,9 @@ from dataclasses import replace
 from importlib import import_module
 from typing import Any
 
-from _report import ROOT, made_by, markdown_table, page_from
+from _report import Report, markdown_table
+from run import Bench
 
-PAGE = ROOT / "docs" / "results" / "object_errors.md"
 MEASURES = (
     "bench/object_errors.py",
     "kernels",
@@ -30,26 +30,6 @@ MEASURES = (
 GROSS = 0.1
 """Share of trials with a gross error [choice]."""
 METHODS = ("fc", "handover-va", "contact", "intent", "oracle", "random")
-
-HEAD = """# Errors of the object's pose
-
-Methods are told where the object is. Here they are told wrongly
-([definition](../choices.md#errors-estimates-candidates)); the judge and the trials stay
-true. `python bench/object_errors.py` measured {trials} trials of each split of r2h-v2, `--sim none`
-(bench/results/object_errors.json; commit {commit}, load {load:g} at the start). Every column has the same trials and answers.
-For your method: `r2h-batch sweep --method mine.py:predict --sim none --object-errors field --out runs/field`.
-
-SR in percent, mean of S0 and S1. In brackets: trials of both splits whose first failure is Stability / Plan / Reach / Affordance.
-The 95 % interval of a rate for more trials with these objects reaches up to {half:.0f} points to each side.
-
-{rates}
-
-Gross: {gross:g} % of the trials, without other errors. *half turn*: 180 degrees about one axis of the object's box. *symmetry*:
-any angle about the axis about which turns change the surface least.
-
-- Stability takes most of the loss: it comes first in the order, so the other criteria are asked of fewer trials.
-- The oracle searches in the world that it sees. With an error that it does not know, it is no upper bound.
-"""
 
 
 def measured(answers: Any, trials: Any, evaluator: Any) -> dict[str, float | int]:
@@ -68,7 +48,7 @@ def measured(answers: Any, trials: Any, evaluator: Any) -> dict[str, float | int
     }
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """Every method with every error."""
     from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.config import OBJECT_ERRORS, EvalConfig, ExecConfig, ObjectErrors
@@ -90,11 +70,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         found[method] = {name: measured(answers, trials, judge) for name, judge in judges.items()}
         print(method, {name: round(cell["sr"], 1) for name, cell in found[method].items()}, flush=True)
     sizes = {name: [e.translation_m, e.rotation_deg] for name, e in cases.items()}
-    return {"trials": options.trials, "sizes": sizes, "rates": found, **made_by(MEASURES)}
+    return {"trials": options.trials, "sizes": sizes, "rates": found}
 
 
-def markdown(data: Mapping[str, Any]) -> str:
-    """The page."""
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     from r2h_batch.methods.contact import TITLE as CONTACT
     from r2h_batch.methods.fc import TITLE as FC
     from r2h_batch.methods.handover_va import TITLE as VA
@@ -110,21 +90,16 @@ def markdown(data: Mapping[str, Any]) -> str:
         for name, (m, d) in data["sizes"].items()
     ]
     rates = [[titles.get(m, m), *map(cell, cells.values())] for m, cells in data["rates"].items()]
-    return HEAD.format(
-        trials=data["trials"],
-        commit=str(data["commit"])[:12],
-        load=data["hardware"]["load_at_start"],
-        half=98 / (2 * data["trials"]) ** 0.5,
-        rates=markdown_table(["", *head], rates),
-        gross=100 * GROSS,
-    )
+    return {
+        "half": 98 / (2 * data["trials"]) ** 0.5,
+        "rates": markdown_table(["", *head], rates),
+        "gross": 100 * GROSS,
+    }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=120, help="of each split")
-    page_from(parser, ROOT / "bench" / "results" / "object_errors.json", PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__, measure, MEASURES, {"--trials": {"default": 120, "help": "of each split"}}, stored="object_errors"
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -1,7 +1,7 @@
 """Images of depth cameras beside three other renderers on the same meshes: docs/results/observe.md.
 
 `python bench/observe.py` draws whole images of cell-v1's left post at two sizes with the package's rays, mujoco_warp's renderer,
-MuJoCo C's rays and OpenGL, and compares time, depth and labels. `--render` writes the page again from the JSON.
+MuJoCo C's rays and OpenGL, and compares time, depth and labels.
 """
 
 import argparse
@@ -11,9 +11,9 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table, page_from
+from _report import Report, markdown_table
+from run import Bench
 
-PAGE = ROOT / "docs" / "results" / "observe.md"
 MEASURES = ("bench/observe.py", "kernels/observe", "kernels/options.py", "r2h_batch/observe", "r2h_batch/scene")
 SIZES = (128, 64)
 HEIGHT_DEG = 58.0
@@ -25,31 +25,6 @@ NAMES = {
     "opengl": "MuJoCo C, OSMesa, two passes",
     "multiray": "MuJoCo C, `mj_multiRay`",
 }
-
-HEAD = """# Depth cameras: speed, and agreement with other renderers
-
-`python bench/observe.py` drew {trials} trials of r2h-v2 with four programs on the same meshes. The meshes are the robot at
-home, the trial's object at the [moment](../observe.md#the-moment), hand, arm, torso and table. Whole images of cell-v1's left
-post, 58 degrees (bench/results/observe.json; commit {commit}, load {load:g} at the start, one run of each). Process seconds of
-one core; the meshes are made before the clock starts. The package draws table and robot once for a rig's cameras and keeps them.
-This happens before the clock starts too. The others draw everything in each image. MuJoCo C's rays and OpenGL drew {few} of the
-trials.
-
-{speed}
-
-Against the package's rays: pixels with another label, and the difference of depth where the labels agree, in mm.{beyond}
-
-{agreement}
-
-A seen trial has windows of {seen_px} pixels about object and hand from two posts.
-It also has the sensor's errors, its moment and a cloud of 2,048 points. One core makes {seen:.0f} of them a second. Moments take
-{moment:.1f} ms a trial, exact images {exact:.1f} ms, images with errors {images:.1f} ms, masks that grow {masks:.1f} ms more,
-clouds {cloud:.1f} ms. With errors and clouds images come at {share:.0f} % of the rate of exact ones.
-{small}"""
-
-
-BEYOND = """
-Beyond a pixel: pixels whose label none of the nine pixels about it has in the package's image."""
 
 
 def clock(call: Callable[[], Any]) -> tuple[Any, float]:
@@ -240,7 +215,7 @@ def off_border(theirs: np.ndarray, ours: np.ndarray) -> int:
     return int((~np.any(about, axis=0)).sum())
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     import torch
 
     from r2h_batch import Evaluator, load_benchmark
@@ -297,11 +272,11 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             print(side, name, found[name], flush=True)
         print(side, "rays", found["rays"], flush=True)
         out["sizes"][str(side)] = found
-    return {**out, **made_by(MEASURES)}
+    return out
 
 
-def markdown(data: Mapping[str, Any]) -> str:
-    """The page."""
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     sizes = data["sizes"]
     speed, agreement = [], []
     for name, words in NAMES.items():
@@ -311,41 +286,33 @@ def markdown(data: Mapping[str, Any]) -> str:
         for s in sizes if name != "rays" else ():
             f = sizes[s][name]
             numbers = (f"{f['median_mm']:.4f}", f"{f['p99_mm']:.3f}", f"{f['most_mm']:.1f}")
-            beside = (str(f["off_border"]),) if "off_border" in f else ()
-            agreement.append([f"{words}, {s} x {s}", f"{100 * f['other_label']:.3f} %", *beside, *numbers])
-    told = all("off_border" in f for of in sizes.values() for name, f in of.items() if name != "rays")
+            agreement.append([f"{words}, {s} x {s}", f"{100 * f['other_label']:.3f} %", str(f["off_border"]), *numbers])
     total = data["moment_ms"] + data["images_ms"] + data["cloud_ms"]
     wide = [f"{s} x {s}" for s in sizes]
-    return HEAD.format(
-        trials=data["trials"],
-        few=data["few"],
-        commit=str(data["commit"])[:12],
-        load=data["hardware"]["load_at_start"],
-        speed=markdown_table(["images a second and core", *wide, *(f"ours is times, {w}" for w in wide)], speed),
-        agreement=markdown_table(
-            ["against", "other label", *(("beyond a pixel",) if told else ()), "median", "99 %", "largest"], agreement
+    return {
+        "speed": markdown_table(["images a second and core", *wide, *(f"ours is times, {w}" for w in wide)], speed),
+        "agreement": markdown_table(
+            ["against", "other label", "beyond a pixel", "median", "99 %", "largest"], agreement
         ),
-        beyond=BEYOND if told else "",
-        seen_px=" and ".join(f"{p} x {p}" for p in data["seen_px"]),
-        seen=1e3 / total,
-        small=f"\nWith two windows of {SMALL_PX} x {SMALL_PX} of one post: {1e3 / data['small_ms']:.0f} a second and core.\n"
-        if "small_ms" in data
-        else "",
-        moment=data["moment_ms"],
-        exact=data["exact_ms"],
-        images=data["images_ms"],
-        masks=data["masks_ms"],
-        share=100 * data["exact_ms"] / (data["images_ms"] + data["cloud_ms"]),
-        cloud=data["cloud_ms"],
-    )
+        "windows": " and ".join(f"{p} x {p}" for p in data["seen_px"]),
+        "seen_per_s": 1e3 / total,
+        "small_px": SMALL_PX,
+        "small_per_s": 1e3 / data["small_ms"],
+        "share": 100 * data["exact_ms"] / (data["images_ms"] + data["cloud_ms"]),
+    }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=24, help="of both splits")
-    parser.add_argument("--few", type=int, default=8, help="of them for MuJoCo C and OpenGL")
-    page_from(parser, ROOT / "bench" / "results" / "observe.json", PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--trials": {"default": 24, "help": "of both splits"},
+        "--few": {"default": 8, "help": "of them for MuJoCo C and OpenGL"},
+    },
+    peer="mujoco_warp's renderer, MuJoCo C's rays and OpenGL",
+    stored="observe",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -1,4 +1,4 @@
-"""Receivers of every size: `python bench/people.py` writes bench/results/people.json and docs/results/people.md.
+"""Receivers of every size: docs/results/people.md.
 
 Dimensions of the built-in people beside ANSUR II, success of the built-in methods by group, and what decides Handover-VA's
 plans on a larger hand. Six CPU minutes.
@@ -17,10 +17,11 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from _report import made_by, markdown_table, page_from, swept
+from _report import Report, made_by, markdown_table, swept
 from _source import ROOT
 from numpy.typing import NDArray
 from PIL import Image
+from run import Bench
 from scipy.spatial.transform import Rotation
 
 from r2h_batch import load_benchmark
@@ -41,7 +42,7 @@ from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter
 from r2h_batch.view.stored import judged_again
 
-STORED, PAGE = ROOT / "bench" / "results" / "people.json", ROOT / "docs" / "results" / "people.md"
+STORED, PICTURE = ROOT / "bench" / "results" / "people.json", ROOT / "docs" / "results" / "people.png"
 MEASURES = (
     "assets/people",
     "r2h_batch/data/people.py",
@@ -306,7 +307,7 @@ def of_hands(options: argparse.Namespace) -> dict[str, Any]:
         return {hand: counts(load_run(run)) for hand, run in runs.items()}
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """The figures of the page, or of the parts that `--only` names, beside the stored ones."""
     data: dict[str, Any] = {"groups": {}}
     if options.only:
@@ -321,89 +322,13 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         elif part == "cost":
             data["cost"] = cost()
         else:
-            draw(PAGE.with_name("people.png"))
+            draw(PICTURE)
     people = json.loads((ROOT / "assets" / "people" / "report.json").read_text())
     return {**data, "trials": options.trials, "people": people, **made_by(MEASURES)}
 
 
-HEAD = """\
-# Receivers of every size: results
-
-Look up how people of every size are served ([what they are](../people.md)). `python bench/people.py` measured all figures
-(bench/results/people.json, commit {commit}), {trials} trials a split, without simulated motions.
-
-![24 receivers by stature, from the side of their arm](people.png)
-
-## Success
-
-SR in %, both splits together. `Redrawn`: trials in which no posture fitted the first person. r2h-v1 is the protocol without
-people.
-
-{success}
-
-Losses of the oracle, the upper bound: {losses}.
-
-## Reception
-
-Percent of trials, {received_n} of {received_objects} for each hand. Received: the receiver can take the object
-([reception](../receivers.md#reception)). And success: the trial is a success too. The people's hand has its own 256 held-out
-grasps a side, in the adults' mean shape.
-
-{reception}
-
-## Why Handover-VA fails more often on a larger hand
-
-Hands as Anny rests them cost the method {hand_points:.0f} points of SR against the stand-in hand. Here the bodies are those of
-r2h-v1, and one thing changes at a time.
-Plans that fail more, of {hands_n} trials:
-
-{causes}
-
-So the thumb explains most of the loss. Anny's thumb rests palmwards, where it stands in the way of the object. This package
-turns the thumb to the stand-in's rest and keeps the stand-in's joint angles. The size of the hand remains: gripper and object
-meet larger hands more often. The proportions move the point of the palm that the method hands to. These trials show no cost of
-them. Only the thumb's share and the whole loss are more than chance explains in so few trials (95 %). Failures of Handover-VA's
-plans, by what collides at start or goal:
-
-{hands}
-
-## Cost
-
-Core milliseconds a trial by turns on a shared machine, and adults' over r2h-v1's (median, least and most of seven turns).
-Judging: the oracle's answers, all of them successes, without motions.
-
-{cost}
-
-## Dimensions
-
-5th, 50th and 95th percentile, mm. ANSUR II: the public data of the 2012 survey of U.S. Army personnel (4,082 men, 1,986 women;
-Gordon et al. 2014), who are younger and fitter than a population. Ours are measured on Anny's bodies: the hand from the joint
-of the wrist (ANSUR II: from the stylion), the shoulder from its joint. Anny's upper arms are shorter and its men's hands
-longer than ANSUR II's. Iliac height, popliteal height and seated shoulder were fitted to ANSUR II's medians: these
-rows show the fit and validate nothing.
-
-{dimensions}
-
-Children of 6 to 12 years. CDC: stature for age of the CDC growth charts (2000, statage.csv), its LMS distributions mixed over
-the months of these years, as our ages are uniform. No published table of the other lengths could be looked up.
-
-{children}
-
-## What the shapes hold
-
-Capsules and box hold the skin of a person but for a few percent. `outside`: how far the rest stands out. `overshoot`: from
-the shape's surface to the nearest vertex of the body. So Safe and the planner keep clear of the share `held` of a part's skin.
-A path that passes can graze the rest, by as much as `outside` says.
-
-{shapes}
-
-A posed hand's skin cuts into itself, by {cut_mean} mm on average and {cut_max} mm at most ({cut_hands} of the 400 postures, the
-adults' mean hand). Collisions are asked of the hand's convex pieces, so no verdict depends on it; pictures show it.
-"""
-
-
-def markdown(data: dict[str, Any]) -> str:
-    """The page."""
+def shown(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     people, groups = data["people"], {g: data["groups"][g] for g in (V1, *RECEIVERS)}
     names = list(next(iter(groups.values())))
     success = [
@@ -464,30 +389,28 @@ def markdown(data: dict[str, Any]) -> str:
         for group, parts in people["shapes"].items()
         for part, f in parts.items()
     ]
-    return HEAD.format(
-        commit=str(data["commit"])[:12],
-        trials=data["trials"],
-        success=markdown_table(["Receivers", *names, "Redrawn"], success),
-        losses=losses,
-        received_n=next(iter(data["reception"][V1].values()))[0],
-        received_objects=", ".join(RECEIVED),
-        reception=markdown_table(
+    return {
+        "success": markdown_table(["Receivers", *names, "Redrawn"], success),
+        "losses": losses,
+        "received_n": next(iter(data["reception"][V1].values()))[0],
+        "received_objects": ", ".join(RECEIVED),
+        "reception": markdown_table(
             ["", *(f"{who}, {what}" for who in data["reception"] for what in ("received", "and success"))], received
         ),
-        cost=markdown_table(["", V1, "adults", "ratio"], costs),
-        hands_n=next(m["n"] for found in data["hands"].values() for m in found.values()),
-        hand_points=_sr(first) - _sr(last),
-        causes=markdown_table(["Change", "plans that fail"], causes),
-        hands=markdown_table(["Hand", "SR", "Plan fails", *(p.replace("_", " ") for p in pairs)], hands),
-        dimensions=markdown_table(["", "men", "men, ANSUR II", "women", "women, ANSUR II"], dimensions),
-        children=markdown_table(["", "boys", "boys, CDC", "girls", "girls, CDC"], children),
-        cut_mean=cut["self_cut_mean_mm"],
-        cut_max=cut["self_cut_max_mm"],
-        cut_hands=cut["hands_measured"],
-        shapes=markdown_table(
+        "cost": markdown_table(["", V1, "adults", "ratio"], costs),
+        "hands_n": next(m["n"] for found in data["hands"].values() for m in found.values()),
+        "hand_points": _sr(first) - _sr(last),
+        "causes": markdown_table(["Change", "plans that fail"], causes),
+        "hands": markdown_table(["Hand", "SR", "Plan fails", *(p.replace("_", " ") for p in pairs)], hands),
+        "dimensions": markdown_table(["", "men", "men, ANSUR II", "women", "women, ANSUR II"], dimensions),
+        "children": markdown_table(["", "boys", "boys, CDC", "girls", "girls, CDC"], children),
+        "cut_mean": cut["self_cut_mean_mm"],
+        "cut_max": cut["self_cut_max_mm"],
+        "cut_hands": cut["hands_measured"],
+        "shapes": markdown_table(
             ["Group", "Shape", "held, %", "outside, mm", "overshoot, mm", "overshoot 95 %, mm"], shapes
         ),
-    )
+    }
 
 
 def _sr(found: dict[str, Any]) -> float:
@@ -506,14 +429,18 @@ def _losses(found: dict[str, Any]) -> str:
     return ", ".join(f"{v} {k}" for k, v in lost.items()) + (f" ({reasons})" if reasons else "") + f" of {found['n']}"
 
 
-def main() -> None:
-    """Measures, or writes the page again."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100, help="of each split")
-    parser.add_argument("--only", nargs="+", choices=PARTS, default=(), help="measure these parts, keep the others")
-    parser.add_argument("--methods", nargs="+", default=METHODS)
-    page_from(parser, STORED, PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--trials": {"default": 100, "help": "of each split"},
+        "--only": {"nargs": "+", "choices": PARTS, "default": (), "help": "measure these parts, keep the others"},
+        "--methods": {"default": METHODS},
+    },
+    peer="ANSUR II, CDC growth charts, the built-in hand",
+    stored="people",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -1,8 +1,7 @@
 """How many stored grasps could be picked from the table, by method and cause, and what judging that costs: docs/results/pick.md.
 
 `python bench/pick.py` judges the grasps of the shipped rows of r2h-v2 (`r2h_batch.judge.picked`), measures with own code how far
-the open gripper reaches below the table's top, and takes the time of both stages beside that of a kinematic trial. `--render`
-writes the page again from the JSON.
+the open gripper reaches below the table's top, and takes the time of both stages beside that of a kinematic trial.
 """
 
 import argparse
@@ -12,11 +11,11 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, page_from
+from _report import ROOT, Report, markdown_table
+from run import Bench
 
 from r2h_batch.verdicts import PickReason
 
-PAGE = ROOT / "docs" / "results" / "pick.md"
 RUN = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2"
 MEASURES = (
     "bench/pick.py",
@@ -52,56 +51,6 @@ MET = {"table": "table", "hand": "person", "self": "itself", "object_robot": "ob
 TIMED = 512
 CHECKED_FROM, CHECKED = 100, 10
 """Rows of each method that other code judges again: this many from this one on."""
-WHY_VA = """Its grasps come
-from above. But with the pads about the middle of a thin thing the fingertips would have to reach into the table.
-
-By category, percent picked:"""
-
-HEAD = """# Picking from the table: results
-
-A trial of r2h-v2 begins with the object in the gripper. `python bench/pick.py` asks of every stored grasp whether the arm could
-have got it there ([Pick](../pick.md)). It took {trials} trials of each method (bench/results/pick.json, commit {commit}, load
-{load:g} at the start). A sweep of [r2h-v3-draft](../pick.md#the-draft-r2h-v3) asks
-your method for it.
-
-Percent of the trials. A grasp that fails counts once, in the stage that fails first. Brackets: 95 %, Wilson.
-
-{stages}
-
-**No built-in method looks at the table.** FC, Contact, Intent and the oracle choose grasps from all sides, and the table
-forbids most of them. Handover-VA grasps from above. Own code (NumPy, float64) put the corners of the open gripper where the
-grasp is. It measured how far the lowest corner is below the table's top. The way in plays no part here:
-
-{below}
-
-An earlier prototype had 58 to 69 % for FC, Contact, Intent and the oracle, and no grasp of Handover-VA's. {verdict}
-
-{categories}
-
-What the robot meets at the grasp and on the way in, percent of the trials. The pair is the one that decides the margin; where
-several meet, it is one of them.
-
-{met}
-
-If a trial must be picked before it is handed over, it succeeds where picking and handover both succeed:
-
-{joint}
-
-## Cost
-
-Process milliseconds of one core a row, on {timed} rows of each method: drawing the moment takes {moment:.1f}, and Pick
-{pick:.1f}. A kinematic trial (`--sim none`, all stages) takes {trial:.1f} on the same rows. Pick costs {ratio:.2f} times that
-(asked: with the carry at most 2). The ways in and up leave the straight line by at most {off_um:.0f} um in the rows that are
-picked (median {off_median_um:.1f} um).
-
-## Checked by other code
-
-Other code judged {checked} of these rows again in float64: {wrong} wrong{words}. {passing} of them pass.
-`tests/support/pick_twin.py` takes MuJoCo C for convex bodies, with own fingers and hulls, and NumPy for the object's surface.
-It samples ways every millimetre. For these it confirms every stage, and for the others the stage that fails. For a gripper that
-meets table or person it also confirms that no other branch helps. A verdict within 0.2 mm of the border may differ. A margin
-may be below that of the samples by 0.1 mm or a tenth, and above it by a sample's step.
-"""
 
 
 def lowest_m(scene: Any, T_world_ee: np.ndarray) -> np.ndarray:
@@ -128,7 +77,7 @@ def lowest_m(scene: Any, T_world_ee: np.ndarray) -> np.ndarray:
     return low
 
 
-def measured(options: argparse.Namespace) -> Mapping[str, Any]:
+def measured(_: argparse.Namespace, __: Report) -> Mapping[str, Any]:
     """All figures of the page."""
     from dataclasses import fields
 
@@ -197,12 +146,11 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
         "checked": checked,
         "category_of_rows": category.tolist(),
         "off_m": {"largest": max(offs), "median": float(np.median(offs))},
-        **made_by(MEASURES),
     }
 
 
-def markdown(data: Any) -> str:
-    """The page."""
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
 
@@ -236,43 +184,36 @@ def markdown(data: Any) -> str:
         if short[k].split("-")[0] in ("FC", "Contact", "Intent", "oracle")
     ]
     above = next(m["below"]["0"] / m["n"] for k, m in methods.items() if "VA" in short[k])
-    low, high = 100 * min(sided), 100 * max(sided)
-    verdict = f"Here they are {low:.0f} to {high:.0f} %, and {100 * above:.0f} % for Handover-VA. {WHY_VA}"
     rows_of = {c: sum(x == c for x in data["category_of_rows"]) for c in data["category_of_rows"]}
     by_category = [
         [c.replace("_", " "), *(share(m["categories"][c], rows_of[c]) for m in methods.values())]
         for c in sorted(rows_of)
     ]
     ms, checked = data["ms"], data["checked"]
-    wrong = [f"{short[c['method']]}, trial {c['trial']}: {c['wrong']}" for c in checked if c["wrong"]]
-    return HEAD.format(
-        trials=next(iter(methods.values()))["n"],
-        commit=data["commit"][:12],
-        load=data["hardware"]["load_at_start"],
-        stages=markdown_table(["", "picked", *CAUSES], stages),
-        below=markdown_table(["", "below the table", "by over 1 mm", "by over 10 mm"], below),
-        verdict=verdict,
-        categories=markdown_table(["", *(short[k] for k in methods)], by_category),
-        met=markdown_table(["", *MET.values()], met),
-        joint=markdown_table(["", "success", "picked and success", "of the successes"], joint),
-        timed=TIMED,
-        checked=len(checked),
-        wrong=len(wrong),
-        words=f" ({'; '.join(wrong)})" if wrong else "",
-        passing=sum(c["picked"] for c in checked),
-        moment=ms["moment"],
-        pick=ms["pick"],
-        trial=ms["trial"],
-        ratio=ms["pick"] / ms["trial"],
-        off_um=1e6 * data["off_m"]["largest"],
-        off_median_um=1e6 * data["off_m"]["median"],
-    )
+    return {
+        "of_each": next(iter(methods.values()))["n"],
+        "stages": markdown_table(["", "picked", *CAUSES], stages),
+        "below": markdown_table(["", "below the table", "by over 1 mm", "by over 10 mm"], below),
+        "sided_least": 100 * min(sided),
+        "sided_most": 100 * max(sided),
+        "above": 100 * above,
+        "categories": markdown_table(["", *(short[k] for k in methods)], by_category),
+        "met": markdown_table(["", *MET.values()], met),
+        "joint": markdown_table(["", "success", "picked and success", "of the successes"], joint),
+        "timed": TIMED,
+        "checked": len(checked),
+        "wrong": sum(bool(c["wrong"]) for c in checked),
+        "passing": sum(c["picked"] for c in checked),
+        **{f"{name}_ms": spent for name, spent in ms.items()},
+        "ratio": ms["pick"] / ms["trial"],
+        "off_um": 1e6 * data["off_m"]["largest"],
+        "off_median_um": 1e6 * data["off_m"]["median"],
+    }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    page_from(parser, ROOT / "bench" / "results" / "pick.json", PAGE, measured, markdown)
-
+BENCH = Bench(
+    __doc__, measured, MEASURES, peer="own twins in float64 (NumPy, MuJoCo C for convex bodies)", stored="pick"
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -2,7 +2,7 @@
 
 `python bench/reception.py` asks it of the shipped baselines of the default benchmark and of `oracle,for=reception`, measures the
 cost on the frozen poses of the oracle (median of three calls on one thread; process time), measures memory over 5,000 trials,
-and draws one trial with all hands that were tried. `--render` writes the page again from the JSON.
+and draws one trial with all hands that were tried.
 """
 
 import argparse
@@ -12,12 +12,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, core_ms, lines_of, made_by, markdown_table, memory_over, page_from
+from _report import ROOT, Report, core_ms, lines_of, markdown_table, memory_over
 from _rows import rate_over_categories
+from run import Bench
 from scipy.spatial.transform import Rotation, Slerp
 
-PAGE = ROOT / "docs" / "results" / "reception.md"
-STORED = ROOT / "bench" / "results" / "reception.json"
+PICTURE = ROOT / "docs" / "results" / "reception.png"
 MEASURES = (
     "bench/reception.py",
     "kernels",
@@ -37,46 +37,6 @@ SHOWN_OF = 4
 GROWN_TO = 5000
 TAKEN, BLOCKED, BEYOND = (0.25, 0.65, 0.3, 1), (0.8, 0.25, 0.2, 0.5), (0.95, 0.8, 0.2, 0.35)
 SKIN, OBJECT = (0.87, 0.66, 0.54, 1), (0.13, 0.35, 0.72, 1)
-
-HEAD = """# Reception: can the person take it?
-
-See how many receivers could take the object, and how far they must turn the hand
-([definitions](../receivers.md#reception)). `python bench/reception.py` judged the shipped
-rows of the first {trials} trials of each split of {benchmark}, and the upper bound `oracle,for=reception`
-(bench/results/reception.json, commit {commit}). For your method run `r2h-batch results reception runs/mine`.
-
-![One trial with all hands that were tried](reception.png)
-
-*{caption}*
-
-## Steps
-
-Percent of the `n` trials with a held object and a goal posture. A step's column counts trials in which some grasp
-passes this step and all steps before it. `received`: the whole way to one of the 8 easiest of these grasps is free too.
-`of all` and `and success` are percent of all trials: received, and received with success.{brackets}
-
-{steps}
-
-## Fewer grasps, effort
-
-{known}
-
-{effort}
-
-## Cost
-
-A trial with 256 grasps takes {ms:.1f} ms of one core (the oracle's poses).
-"""
-
-KNOWN = """\
-`K=8`: percent received if only 8 grasps a side were tried. `turn <= 60`: percent received if the hand may turn by at most 60
-degrees. The other columns describe the easiest grasp (RULA: strain of the posture)."""
-
-BRACKETS = "\nBrackets: the 95 % interval for the mean of all categories of objects."
-
-GROWTH = """
-{trials:,} trials in one process take {last} MiB of memory, a tenth of them {first} MiB.
-"""
 
 
 def judged(run: Any, trials: int) -> tuple[Any, dict[str, Any]]:
@@ -214,7 +174,7 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
         posed[2, :3] = at
         images.append(frame(stored, [(moved, SKIN)], posed, size, view))
     images.append(frame(stored, [(moved, SKIN)], posed, size, view, released=True))
-    save_picture(PAGE.with_suffix(".png"), np.concatenate(images, axis=1))
+    save_picture(PICTURE, np.concatenate(images, axis=1))
     counts = ", ".join(f"{int(mask.sum())} {name}" for name, (mask, _) in groups.items())
     return (
         f"Trial {int(asked.trial_id[i])} ({stored.object_model.name}). Left: one in {SHOWN_OF} of the {int(found.known[i])} hands"
@@ -273,8 +233,8 @@ def frame(
         return np.array(drawer.render())
 
 
-def markdown(data: dict[str, Any]) -> str:
-    """The page."""
+def shown(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     steps, known, easiest = (
         lines_of(data["tables"], head)
         for head in (
@@ -285,29 +245,22 @@ def markdown(data: dict[str, Any]) -> str:
     )
     for row in steps + known + easiest:
         row[0] = row[0].replace("oracle,fo..ption", BOUND)
-    percent = {name.partition(" (")[0]: own for name, own in data.get("rates", {}).items()}  # none before r2h-v2
+    percent = {name.partition(" (")[0]: own for name, own in data["rates"].items()}
     steps = [steps[0], *([*row[:-2], *percent.get(row[0], row[-2:])] for row in steps[2:])]
     picked = [known[0].index(k) for k in ("K=8", "K=64", "60 deg")]
     head = ["Method", "K=8", "K=64", "turn <= 60", *easiest[0][1:]]
     both = [[a[0], *(a[i] for i in picked), *b[1:]] for a, b in zip(known[2:], easiest[2:], strict=True)]
-    text = HEAD.format(
-        commit=str(data["commit"])[:12],
-        trials=data["trials"],
-        benchmark=data.get("benchmark", "r2h-v1"),
-        caption=data["caption"],
-        brackets=BRACKETS if percent else "",
-        known=KNOWN,
-        steps=markdown_table(steps[0], steps[1:]),
-        effort=markdown_table(head, both),
-        ms=data["cost"][-1]["whole"],
-    )
-    if grown := data.get("growth"):
-        mib = grown["mib"]
-        text += GROWTH.format(trials=grown["trials"], first=mib[0], last=mib[-1])
-    return text
+    return {
+        "steps": markdown_table(steps[0], steps[1:]),
+        "effort": markdown_table(head, both),
+        "ms": data["cost"][-1]["whole"],
+        "grown": data["growth"]["trials"],
+        "first_mib": data["growth"]["mib"][0],
+        "last_mib": data["growth"]["mib"][-1],
+    }
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """All figures of the page, and its picture."""
     from r2h_batch import load_benchmark
     from r2h_batch.report import load_baselines
@@ -324,15 +277,10 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "cost": cost(bound[3]),
         "growth": growth(bound[3]),
         "caption": draw(*bound),
-        **made_by(MEASURES),
     }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100, help="of each split")
-    page_from(parser, STORED, PAGE, measure, markdown)
-
+BENCH = Bench(__doc__, measure, MEASURES, {"--trials": {"default": 100, "help": "of each split"}}, stored="reception")
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

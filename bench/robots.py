@@ -12,8 +12,6 @@ collision: postures near hands and anywhere (tests/kernels/test_collision.py), a
 bodies; one within 0.1 mm of contact is borderline.
 plan: the same answers; RRT-Connect of OMPL on MuJoCo C's contacts has the same start, goals and checked pairs. Paths of both are
 checked again every 1/320 rad.
-
-`--render` writes the page again from the JSON.
 """
 
 import argparse
@@ -26,11 +24,12 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, made_by, markdown_table, page_from, swept
+from _report import ROOT, Report, made_by, markdown_table, swept
 from _rows import keep, rate_of
 from _twins import Batch, dense, ompl_solve, oracle, recheck, solve
 from ik import pseudo_inverse
 from plan import free_rows
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch.threads import on_threads
@@ -58,7 +57,6 @@ MEASURES = (
 )
 ROBOTS = ("ur5e_2f85", "ur3e_2f85", "ur10e_2f85", "panda_hand")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
-PAGE = ROOT / "docs" / "results" / "robots.md"
 STORED = ROOT / "bench" / "results" / "robots.json"
 RESTARTS = 20
 SECTIONS = ("ik", "trials", "collision", "plan", "table")
@@ -67,29 +65,6 @@ BAND_M = 1e-4
 """Within it float32 may decide either way."""
 BUDGET_S = 5.0
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
-
-HEAD = """# The same methods on four robots
-
-See how often the methods succeed on each built-in robot. `python bench/robots.py` measured {trials} trials of each split of
-{benchmark}, `--sim none`, [persons](../robots.md#persons-and-table) placed for the robot (bench/results/robots.json;
-commit {commits}). For your robot run `r2h-batch sweep --robot DIR --method fc handover-va contact intent oracle`.
-
-## Success rates
-
-Percent of all trials, mean of the splits, with 95 % intervals for the mean of all categories of objects.
-
-{rates}
-
-## Checks and speed
-
-{checks}
-
-- Trial: {rows} trials in a call, half answered by the oracle and half by random, one thread, median of {repeats} runs.
-- Wrong postures: verdicts on collisions that MuJoCo C contradicts. Postures within 0.1 mm of contact are left out.
-- Paths: problems with a free start and a free goal beside the hand, without arm and torso. Penetrating: paths that MuJoCo C finds
-  to collide.
-- IK: {targets:,} postures drawn uniformly within the joint ranges. Missed: targets without a posture.
-"""
 
 
 def inverse_kinematics(robot: Robot, count: int, some: int) -> dict[str, float]:
@@ -219,7 +194,7 @@ def paths(answered: Answered, wanted: int) -> dict[str, int]:
 
 
 @on_threads(1)
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """The stored data with the sections asked for measured again, of all robots."""
     torch.set_num_threads(1)
     data = json.loads(STORED.read_text())
@@ -252,8 +227,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return data | (made if {*asked} == {*SECTIONS} else {})
 
 
-def markdown(data: dict[str, Any]) -> str:
-    """The page."""
+def shown(data: dict[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     robots = data["robots"]
     methods = list(next(iter(robots.values()))["table"])
 
@@ -266,30 +241,32 @@ def markdown(data: dict[str, Any]) -> str:
         "IK missed": lambda r: str(r["ik"]["missed"]),
         "IK, largest error, um": lambda r: f"{r['ik']['position_error_um']:.1f}",
     }
-    return HEAD.format(
-        trials=data["trials"],
-        benchmark=data["benchmark"],
-        commits=", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
-        rates=markdown_table(["Method", *robots], rates),
-        checks=markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
-        repeats=REPEATS,
-        rows=next(iter(robots.values()))["trials"]["trials"],
-        targets=data["targets"],
-    )
+    return {
+        "commits": ", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
+        "rates": markdown_table(["Method", *robots], rates),
+        "checks": markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
+        "repeats": REPEATS,
+        "rows": next(iter(robots.values()))["trials"]["trials"],
+    }
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "robots")
-    parser.add_argument("--sections", nargs="+", choices=SECTIONS, default=list(SECTIONS))
-    parser.add_argument("--trials", type=int, default=100, help="of each split, in the table")
-    parser.add_argument("--rows", type=int, default=400, help="whole trials, and those from which problems are taken")
-    parser.add_argument("--problems", type=int, default=60, help="of planning")
-    parser.add_argument("--postures", type=int, default=10_000)
-    parser.add_argument("--targets", type=int, default=100_000)
-    parser.add_argument("--reference-targets", type=int, default=500)
-    page_from(parser, STORED, PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--out": {"default": ROOT / "runs" / "robots", "type": Path},
+        "--sections": {"default": SECTIONS, "choices": SECTIONS},
+        "--trials": {"default": 100, "help": "of each split, in the table"},
+        "--rows": {"default": 400, "help": "whole trials, and those from which problems are taken"},
+        "--problems": {"default": 60, "help": "of planning"},
+        "--postures": {"default": 10_000},
+        "--targets": {"default": 100_000},
+        "--reference-targets": {"default": 500},
+    },
+    peer="MuJoCo C, OMPL, pytorch-kinematics",
+    stored="robots",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

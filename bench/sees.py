@@ -2,7 +2,7 @@
 
 `python bench/sees.py` sweeps the built-in methods, a robust search and examples/grasp_seen.py on r2h-v2, told the truth, and
 shown what two posts or one see. `--trials 500 --processes 2 --parts FOLDER` is for two hours: it keeps what is done, and started
-again it goes on with what is missing. `--render` writes the page again from the JSON.
+again it goes on with what is missing.
 
 A process takes a piece of the trials through all sights: images that are the same show the same solids. All methods of a sight
 are one sweep, so they look once.
@@ -22,10 +22,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, Parts, made_by, markdown_table, page_from, swept
+from _report import ROOT, Parts, Report, markdown_table, swept
 from _source import digests
+from run import Bench
 
-PAGE = ROOT / "docs" / "results" / "sees.md"
 MEASURES = (
     "bench/sees.py", "examples/grasp_seen.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/sweep/seeing.py",
     "r2h_batch/protocols/r2h_v2.py", "r2h_batch/methods",
@@ -61,65 +61,6 @@ ORACLE = {"robust search": "oracle"}
 """Told the truth, a search has no error to reckon with."""
 CAUSES = ("stability", "plan", "reach", "affordance", "safe")
 
-HEAD = """# Methods that see
-
-`python bench/sees.py` swept the built-in methods and `examples/grasp_seen.py` by what they were
-[shown](../observe.md#methods-that-see). The sweeps are of r2h-v2, motion as planned, {trials} trials a split
-(bench/results/sees.json; commit {commit}, load {load:g} at the start). {same}
-
-## Success
-
-SR in percent, S0 / S1. Half of the 95 % interval of these trials (Wilson) is at most {half:.0f} points{wide}.
-
-{table}
-{categories}
-`robust search` looks for a grasp and a pose that succeed under 16 drawn errors of what it sees. `plain search` looks for a pair
-that succeeds as believed ([built-in methods](../observe.md#built-in-methods)). Told the truth, the oracle stands in their place.
-
-Where it is not told, no method that sees knows the receiver's region (S1), the searches included: images show no parts. So in S1
-Affordance is what stops the searches ([causes](#causes)). FC and Contact keep the gripper off a hand that they expect on the
-object, and Contact off the places that people touch. Both stand in for the region: of {trials} trials of S1 with two posts
-Affordance stops {contact} of Contact and {fc} of FC. The robust search and Learned do not look for where people take an object,
-so it stops {robust} and {learned} of theirs. With a model known the region is not known either. Nor do the methods
-know the person's arm and torso. The world that they believe in has the hand alone. Planning and Safe judge all of the person.
-
-{told}## Causes
-
-Trials of both splits by their first failure: {causes}.
-
-{failures}
-
-## Pick
-
-Percent of all trials in which some posture takes the object up where it lay; the way there is not looked at.
-
-{picks}
-{cost}"""
-
-COST = """
-## Cost
-
-CPU seconds of a trial, looking and judging included, for {cost_trials} trials beyond the first ones. Each method is a sweep of
-its own. The first row is the believed world: its solid, grasps and the hands that hold it. It is made once for all methods of a
-process. The hands are half of it; the searches, random and the example do not ask for them. The example's own process does not
-count. A figure is the difference of two sweeps: below {resolved} s it says nothing.
-
-{costs}
-"""
-
-REGION = """## The receiver's region
-
-With `region=told` methods are told which seen points belong to the part that the receiver wants
-([definition](../observe.md#methods-that-see)). Trials of S1 that only one of two sights solves, with two posts; the
-difference of SR in points and the 95 % interval (Tango 1998, of trials with the same objects).
-
-{table}
-
-In S0 there is no region, and the answers are the same.
-
-"""
-
-
 SHARD = 128
 """Trials that a process takes through all sights before it takes the next ones: their solids stay
 (`believed_object.KEPT_SOLIDS`)."""
@@ -132,7 +73,8 @@ RESOLVED_S = 0.03
 WORLD = "solid, grasps, hands"
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
+    """Success of all methods with all sights, and what some sights cost."""
     of = {"trials": options.trials, "source": digests(MEASURES)}
     parts = Parts(options.parts, of)
     context = multiprocessing.get_context("spawn")
@@ -148,7 +90,7 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
             for each in [pool.submit(_swept, runs, options.trials, k) for k in range(_shards(options.trials))]:
                 each.result()
         shown = {words: _reached(runs / _slug(words), words) for words in SEES}
-    return {"trials": options.trials, "shown": shown, "cost": costs, **made_by(MEASURES)}
+    return {"trials": options.trials, "shown": shown, "cost": costs}
 
 
 def _asked(words: str) -> dict[str, str]:
@@ -263,12 +205,12 @@ def _forget() -> None:
         kept.cache_clear()
 
 
-def markdown(data: Mapping[str, Any]) -> str:
-    """The page."""
-    shown = data["shown"]
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
+    sights = data["shown"]
 
     def table(say: Callable[[Mapping[str, Any]], str], *, truth: bool = True) -> str:
-        some = {k: v for k, v in shown.items() if truth or k != "the truth"}
+        some = {k: v for k, v in sights.items() if truth or k != "the truth"}
         lines = [[name, *(say(d[name]) if name in d else "" for d in some.values())] for name in METHODS]
         return markdown_table(["", *map(of_trials, some)], lines)
 
@@ -279,39 +221,30 @@ def markdown(data: Mapping[str, Any]) -> str:
     def ends(d: Mapping[str, Any]) -> str:
         return " / ".join("-".join(f"{100 * x:.0f}" for x in d[s]["categories"]) for s in ("S0", "S1"))
 
-    categories = ""
-    if "categories" in next(iter(shown["the truth"].values()))["S0"]:
-        categories = f"\nThe 95 % interval for the mean of all categories of objects, S0 / S1.\n\n{table(ends)}\n"
-    told = ""
-    if TOLD in shown:
-        told = REGION.format(table=_told_table(shown[HIDDEN], shown[TOLD]))
-    cost = ""
-    if "cost" in data:
-        cost = COST.format(cost_trials=2 * (MORE - FEW), costs=_cost_table(data["cost"]), resolved=RESOLVED_S)
-
     def half(fewer: bool) -> float:
         """Half of the widest interval of the sights with fewer trials, or of the others; points."""
-        some = (of for words, of in shown.items() if (_trials(words, data["trials"]) < data["trials"]) == fewer)
+        some = (of for words, of in sights.items() if (_trials(words, data["trials"]) < data["trials"]) == fewer)
         widths = [d[s]["interval"] for of in some for d in of.values() for s in ("S0", "S1")]
         return 50 * max((high - low for low, high in widths), default=0.0)
 
-    return HEAD.format(
-        trials=data["trials"], commit=str(data["commit"])[:12], load=data["hardware"]["load_at_start"],
-        half=half(fewer=False),
-        wide=f", {half(fewer=True):.0f} where a column says so" if half(fewer=True) else "",
-        same="Sights with fewer trials have the first ones of these." if half(fewer=True) else "All rows are of the same trials.",
-        table=table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
-        categories=categories,
-        told=told,
+    return {
+        "half": half(fewer=False),
+        "wide": half(fewer=True),
+        "table": table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
+        "categories": table(ends),
+        "told": _told_table(sights[HIDDEN], sights[TOLD]),
         **{
-            field: shown[HIDDEN][name]["causes"]["affordance"]  # S0 has no region, and no such failure
-            for field, name in (("contact", "Contact"), ("fc", "FC"), ("robust", "robust search"), ("learned", "Learned"))
+            # S0 has no region, and no such failure
+            name.partition(" ")[0].lower(): sights[HIDDEN][name]["causes"]["affordance"]
+            for name in ("Contact", "FC", "robust search", "Learned")
         },
-        causes=" / ".join(CAUSES),
-        failures=table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
-        picks=table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
-        cost=cost,
-    )  # fmt: skip
+        "causes": " / ".join(CAUSES),
+        "failures": table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
+        "picks": table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
+        "cost_trials": 2 * (MORE - FEW),
+        "resolved": RESOLVED_S,
+        "costs": _cost_table(data["cost"]),
+    }
 
 
 def _cost_table(cost: Mapping[str, Mapping[str, float]]) -> str:
@@ -339,13 +272,17 @@ def _told_table(hidden: Mapping[str, Any], told: Mapping[str, Any]) -> str:
     return markdown_table(["", "hidden alone", "told alone", "told - hidden", "interval"], lines)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=40, help="of each split")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--parts", type=Path, help="folder where finished parts are kept: a stopped bench goes on")
-    page_from(parser, ROOT / "bench" / "results" / "sees.json", PAGE, measure, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--trials": {"default": 40, "help": "of each split"},
+        "--processes": {"default": 2},
+        "--parts": {"type": Path, "help": "folder where finished parts are kept: a stopped bench goes on"},
+    },
+    stored="sees",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

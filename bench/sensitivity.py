@@ -13,6 +13,7 @@ import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from _report import ROOT, markdown_table, swept
 
@@ -159,6 +160,19 @@ def markdown(data: dict) -> str:
         " the rates as they are; whether a pair's difference is more than chance, the tests of `sensitivity.json` say.",
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def shown(_: Any) -> dict[str, Any]:
+    """What pages show of docs/results/sensitivity.json: VARIANT.METHOD.sr of both splits (.s0, .s1), with `_` for what is not a
+    word."""
+    data = json.loads(STORED.read_text())
+    found = {"trials": data["trials"], "benchmark": data["benchmark"]["name"]}
+    for variant in data["variants"]:
+        for method, rates in variant["rates"].items():
+            name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")
+            found |= {f"{name}.{k.lower()}": rates[k]["sr"] for k in ("S0", "S1")}
+            found[f"{name}.sr"] = rates["Avg"]["sr"]
+    return found
 
 
 def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequence[str] = ()) -> dict:

@@ -12,7 +12,7 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     docs/results/sensitivity.{md,json}            what each choice is worth (default benchmark)
     docs/results/table1-v1-choices.json           what some of them are worth on r2h-v1
     docs/results/findings.md, README.md    what follows from the tables
-    docs/results/{moving,reception,ranks,families}.md      from the JSON of their benches, which run by themselves
+    docs/results/{ranks,families}.md              from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
     docs/results/sources.md                       which rows, or which command, are behind each figure
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
@@ -34,12 +34,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import closed_loop
 import families
 import findings
 import pictures
 import ranks
-import reception
 import sensitivity
 import sources
 from _report import ROOT, markdown_table, swept
@@ -377,8 +375,6 @@ def render_all() -> dict[Path, str]:
         json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
     )
     files[RESULTS / "findings.md"] = findings.page(data)
-    files[RESULTS / "moving.md"] = closed_loop.markdown(ranks.read("closed_loop"))
-    files[RESULTS / "reception.md"] = reception.markdown(ranks.read("reception"))
     files[RESULTS / "ranks.md"] = ranks.page()
     measured = ranks.read("families")
     files[RESULTS / "families.md"] = families.markdown(measured)

@@ -2,7 +2,7 @@
 
 `python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--sim none`), judges some rows again with other code,
 and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what is
-done, and started again it goes on with what is missing. `--render` writes the page again from the JSON.
+done, and started again it goes on with what is missing.
 """
 
 import argparse
@@ -22,11 +22,11 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from _report import ROOT, Parts, made_by, markdown_table, page_from, swept
+from _report import Parts, Report, markdown_table, swept
 from _source import digests
 from learn import over_categories, paired_over_categories
+from run import Bench
 
-PAGE = ROOT / "docs" / "results" / "whole.md"
 MEASURES = (
     "bench/whole.py",
     "kernels/judge",
@@ -56,37 +56,6 @@ TRACKS: dict[str, tuple[str, ...]] = {
     "truth": ("--method", *METHODS, "--save-paths"),
     "seen": ("--sees", SEES, "--method", *SEEING, "--save-paths"),
 }
-BOUND = """The robust search less the best published rule ({best}), paired by trial: {points:+.1f} points. 95 %: {low:+.1f} to
-{high:+.1f} for these objects (Tango 1998), {wide_low:+.1f} to {wide_high:+.1f} for other categories. At least 15 was the aim.
-Part of the difference is the judge, which the search may ask and the rules may not.
-
-"""
-BELIEVED = """Why Pick and Plan fail, trials. What collides on the path, and motions in collision, were free as planned, and met
-something in truth.
-
-{causes}
-
-Planning grows the person that it believes in by 10 mm. Outcomes of Learned with other rooms, {n} trials, until the object is
-presented:
-
-{rooms}
-
-The three differ by {apart} trials at most, which {n} trials do not decide.
-
-"""
-FEW = """The seeing track has {seen_trials} trials a split, and the other track {trials}.
-- """
-MORE_COST = """The pose stage takes {pose:.2f} times as long as without Pick (aim: at most 1.5). It judges Pick at the grasp
-alone.
-
-A row of these sweeps took at most {truth:.2f} process seconds of one core told the truth and {seen:.2f} seeing. The method, the
-judge and the start of the program are in it, and the time that threads of a network spend on waiting.
-"""
-OLDER = """r2h_batch 0.3 judged these rows, by a criterion more: Taken asked whether a simulated person had the object in the end.
-Nobody judges by it any more. What fails there counts as a failure here. Received took the object where a simulated closing had
-put it, up to 3 cm beside the place of the other criteria.
-
-"""
 SHARD = 128
 """Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
 CHECKED = 8
@@ -94,82 +63,8 @@ CHECKED = 8
 TIMED = 128
 """Rows of each method whose parts are timed."""
 
-HEAD = """# The draft r2h-v3: results
 
-A trial of `r2h-v3-draft` begins with the object on the table: the arm has to [pick](../pick.md#the-draft-r2h-v3) it, carry it
-from there, and present it. The person has to be able to take it. `python bench/whole.py` sweeps
-{trials} trials a split with the motion as planned (bench/results/whole.json, commit {commit}, load {load:g} at the start).
-**It is a draft**: trials may change, and these rates are not to be published.
-
-Percent of both splits' trials. A trial that fails counts once, at its first failure, in the order of the columns. First brackets:
-95 % for more trials with these objects (Wilson). Second ones: for other categories of objects ([statistics](../statistics.md)).
-Thresholds are those that [Pick](../pick.md) and [reception](../receivers.md#reception) had before this table.
-
-{stages}
-
-{older}Methods take the best grasp by their own rule that the arm can pick ([what changes for
-each](../baselines.md#on-the-table)); random does not look at the table. The oracle searches grasps that Pick accepts, and asks
-all criteria. It has no answer for {unsolved} of {n} trials{unsolved_words}. Trials are [drawn until it has
-one](#solvable-by-construction), so its rate is no measurement, and has no interval.
-
-{order}Why Pick fails, percent of the trials that fail it first:
-
-{causes}
-
-Why Plan fails, trials. `ik in collision`: in every posture that reaches the handover pose the robot or the held object meets
-something.
-
-{plans}
-
-Why nobody can take what is presented, trials: the step of [reception](../receivers.md#reception) that the last grasp of the
-person fails.
-
-{giving}
-
-## What cameras see
-
-The same benchmark with `--sees {sees}`: {seen_trials} trials a split, the same for all rows. Methods know where the object is and
-what it looks like from two depth cameras, and pick what they believe in. The arm is planned in [what was
-seen](../pick.md#what-planning-believes), and Pick and all else judge the true world. `region=told`: a point that is seen says
-whether the receiver wants it.
-
-The robust search is a bound, and no method of a paper. It asks the judge, in the world that it believes, for a pair that holds
-under 16 drawn errors. It knows how large its errors are, not what they are. It knows neither the person's arm and torso nor
-what people can take.
-
-{seen}
-
-{seen_order}{bound}{believed}## Cost
-
-Process milliseconds of one core a row, {timed} rows in one call, moments known (drawing one takes {moment:.1f}):
-
-{cost}
-
-Pick and carry together cost {ratio:.2f} kinematic trials of r2h-v2 (aim: at most 2).
-{more_cost}
-## Checked by other code
-
-Other code judged {checked} of these rows again in float64: Pick (`tests/support/pick_twin.py`), and Stability, the carry, Reach,
-Affordance, Safe and the outcome up to there (`tests/support/judge_twin.py`); where they got so far, the reception
-(`tests/support/people_twin.py`). {wrong} wrong{words}; 95 %: at most {at_most:.1f} % of such rows.
-{passing} are picked, {carried} carried, {received} received.
-
-## Solvable by construction
-
-The first {certified} trials are known to have a whole way by all criteria ([certificates](../pick.md#certificates)). The
-oracle's search found one for all but {redrawn} as they were drawn first. These {redrawn} ({redrawn_share:.1f} %) were drawn
-again, {twice} of them more than once; {never} have no answer. Redraws by category, by the object that was drawn first:
-
-{redraws}
-
-## What is missing
-
-- {few}Criteria that fail for nobody in these tables: {idle}.
-- Trials beyond the first {certified} are drawn once.
-"""
-
-
-def measured(options: argparse.Namespace) -> Mapping[str, Any]:
+def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
     """All figures of the page."""
     from r2h_batch.runs.store import load_run
 
@@ -205,7 +100,6 @@ def measured(options: argparse.Namespace) -> Mapping[str, Any]:
             "robust": titles["robust"],
             "rules": [titles[m] for m in RULES],
             "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
-            **made_by(MEASURES),
         }
 
 
@@ -380,8 +274,8 @@ def _until_safe(row: dict[str, Any]) -> dict[str, Any]:
     return {"outcome": "success"} if row["outcome"] == "received" else {}
 
 
-def markdown(data: Any) -> str:
-    """The page."""
+def shown(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
     from r2h_batch.verdicts import IN_ORDER, NO_LONGER
@@ -397,8 +291,7 @@ def markdown(data: Any) -> str:
         ["and the reception of what got so far", f"{ms['received']:.1f}"],
     ]
     every_outcome = {o for of in (methods, data["seen"]) for m in of.values() for o in m["outcomes"]}
-    older = [name for name in NO_LONGER if name in every_outcome]
-    order = [*(entry.name for entry in IN_ORDER), *older]
+    order = [*(entry.name for entry in IN_ORDER), *(name for name in NO_LONGER if name in every_outcome)]
 
     oracle = methods["oracle"]
     splits, kinds = _kinds(max(len(m["won"]) for m in (*methods.values(), *data["seen"].values())))
@@ -427,12 +320,10 @@ def markdown(data: Any) -> str:
         for k, m in seen_outcomes.items()
     ]
     failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
-    bound = _bound_of(data, sighted, splits, kinds)
     cost += [
         ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
         ["the pose stage with Pick", f"{ms['pose']:.3f}"],
     ]
-    more_cost = MORE_COST.format(pose=ms["pose"] / ms["pose_none"], **data["cpu_s"])
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
         [short[k], of, *(f"{100 * m['reasons'].get(r, 0) / of:.1f}" for r in reasons)]
@@ -441,59 +332,51 @@ def markdown(data: Any) -> str:
     ]
     words = list(dict.fromkeys(r for m in methods.values() for r in m["plans"]))
     plans = [[short[k], *(m["plans"].get(r, 0) for r in words)] for k, m in methods.items() if m["plans"]]
-    lost = Counter(oracle["lost"])
     checked = data["checked"]
-    every = short | sighted
     answers = {k: m for k, m in methods.items() if m is not oracle}
-    wrong = [f"{every[c['method']]}, trial {c['trial']}: {c['wrong']}" for c in checked if c["wrong"]]
+    wrong = sum(bool(c["wrong"]) for c in checked)
     known, names = certified_trials()
     drawn = [name.rpartition("_")[0].replace("_", " ") for name in names]
     of, again = Counter(drawn), Counter(c for c, k in zip(drawn, known.redraws, strict=True) if k)
     redraws = [[c, of[c], again[c], f"{100 * again[c] / of[c]:.1f}"] for c in sorted(again)]
-    return HEAD.format(
-        certified=len(drawn),
-        redrawn=sum(again.values()),
-        redrawn_share=100 * sum(again.values()) / len(drawn),
-        twice=int((known.redraws > 1).sum()),
-        never=int((~known.solved).sum()),
-        redraws=markdown_table(["", "trials", "drawn again", "percent"], redraws),
-        trials=data["trials"],
-        commit=data["commit"][:12],
-        load=data["hardware"]["load_at_start"],
-        stages=markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
-        bound=bound,
-        older=OLDER if older else "",
-        few=FEW.format(**data) if data["seen_trials"] < data["trials"] else "",
-        more_cost=more_cost,
-        idle=", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
-        sees=SEES,
-        seen_trials=data["seen_trials"],
-        seen=markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
-        believed=_believed(data, sighted, order),
-        n=oracle["n"],
-        unsolved=sum(lost.values()),
-        unsolved_words=f" ({', '.join(f'{k} {v}'.replace('_', ' ') for k, v in lost.most_common())})" if lost else "",
-        order=_order(answers, short, splits, kinds),
-        seen_order=_order(data["seen"], sighted, splits, kinds),
-        plans=markdown_table(["", *(r.replace("_", " ") for r in words)], plans),
-        at_most=100 * float(wilson_interval(np.array(len(wrong)), len(checked))[1]),
-        causes=markdown_table(["", "trials", *(r.replace("_", " ") for r in reasons)], causes),
-        checked=len(checked),
-        wrong=len(wrong),
-        words=f" ({'; '.join(wrong)})" if wrong else "",
-        passing=sum(c["picked"] for c in checked),
-        carried=sum(c["carried"] for c in checked),
-        received=sum(c["received"] for c in checked),
-        giving=markdown_table(["", *(r.replace("_", " ") for r in nobody)], giving),
-        cost=markdown_table(["", "ms"], cost),
-        timed=TIMED * len(methods),
-        moment=ms["moment"],
-        ratio=(ms["present"] - ms["none"]) / ms["none"],
-    )
+    return {
+        "certified": len(drawn),
+        "redrawn": sum(again.values()),
+        "redrawn_share": 100 * sum(again.values()) / len(drawn),
+        "twice": int((known.redraws > 1).sum()),
+        "never": int((~known.solved).sum()),
+        "redraws": markdown_table(["", "trials", "drawn again", "percent"], redraws),
+        "stages": markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
+        **_bound_of(data, sighted, splits, kinds),
+        "pose_ratio": ms["pose"] / ms["pose_none"],
+        **{f"{track}_s": spent for track, spent in data["cpu_s"].items()},
+        "idle": ", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
+        "sees": SEES,
+        "sights": markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
+        **_believed(data, sighted, order),
+        "n": oracle["n"],
+        "unsolved": sum(oracle["lost"].values()),
+        "draws": DRAWS,
+        "order": _order(answers, short, splits, kinds),
+        "seen_order": _order(data["seen"], sighted, splits, kinds),
+        "plans": markdown_table(["", *(r.replace("_", " ") for r in words)], plans),
+        "at_most": 100 * float(wilson_interval(np.array(wrong), len(checked))[1]),
+        "causes": markdown_table(["", "trials", *(r.replace("_", " ") for r in reasons)], causes),
+        "checked": len(checked),
+        "wrong": wrong,
+        "passing": sum(c["picked"] for c in checked),
+        "carried": sum(c["carried"] for c in checked),
+        "received": sum(c["received"] for c in checked),
+        "giving": markdown_table(["", *(r.replace("_", " ") for r in nobody)], giving),
+        "cost": markdown_table(["", "ms"], cost),
+        "timed": TIMED * len(methods),
+        "moment": ms["moment"],
+        "ratio": (ms["present"] - ms["none"]) / ms["none"],
+    }
 
 
-def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> str:
-    """The section on planning in what was seen: reasons by method, outcomes by room."""
+def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> dict[str, Any]:
+    """Of planning in what was seen: reasons by method, outcomes by room."""
     both = ("reasons", "plans")
     words = [list(dict.fromkeys(r for m in data["seen"].values() for r in m[k])) for k in both]
     named = [f"{name}: {r.replace('_', ' ')}" for name, rs in zip(("Pick", "Plan"), words, strict=True) for r in rs]
@@ -503,13 +386,13 @@ def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str
     ]
     asked = [c for c in order if any(c in m for m in data["rooms"].values())]
     rooms = [[f"{mm} mm", *(m.get(c, 0) for c in ("success", *asked))] for mm, m in data["rooms"].items()]
-    shown = [m.get("success", 0) for m in data["rooms"].values()]
-    return BELIEVED.format(
-        apart=max(shown) - min(shown),
-        causes=markdown_table(["", *named], reasons),
-        rooms=markdown_table(["", "success", *(c.capitalize() for c in asked)], rooms),
-        n=2 * data["room_trials"],
-    )
+    counts = [m.get("success", 0) for m in data["rooms"].values()]
+    return {
+        "apart": max(counts) - min(counts),
+        "reasons": markdown_table(["", *named], reasons),
+        "rooms": markdown_table(["", "success", *(c.capitalize() for c in asked)], rooms),
+        "of_room": 2 * data["room_trials"],
+    }
 
 
 def _kinds(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -520,16 +403,11 @@ def _kinds(n: int) -> tuple[np.ndarray, np.ndarray]:
     return np.array(["S0", "S1"])[np.arange(n) % 2], np.array([name.rpartition("_")[0] for name in names])
 
 
-ORDER = """Orders where the categories of each split are drawn again, {draws:,} times: how often a method has a rank, percent.
-
-{table}
-
-"""
 DRAWS = 10_000
 
 
 def _order(methods: Mapping[str, Any], short: Mapping[str, str], splits: np.ndarray, kinds: np.ndarray) -> str:
-    """How often each method has each rank with other categories, as a table; methods in their order."""
+    """Orders where the categories of each split are drawn again: how often a method has a rank, percent."""
     from r2h_batch.report.statistics.paired import rank_probabilities
 
     names = sorted(methods, key=lambda k: -methods[k]["won"].count("1"))
@@ -546,10 +424,12 @@ def _order(methods: Mapping[str, Any], short: Mapping[str, str], splits: np.ndar
         of = of + (times @ np.bincount(place))[:, None]
     ranks = 100 * rank_probabilities(hits / of)
     rows = [[short[k], *(f"{x:.1f}" for x in row)] for k, row in zip(names, ranks, strict=True)]
-    return ORDER.format(draws=DRAWS, table=markdown_table(["", *range(1, len(names) + 1)], rows))
+    return markdown_table(["", *range(1, len(names) + 1)], rows)
 
 
-def _bound_of(data: Mapping[str, Any], short: Mapping[str, str], splits: np.ndarray, kinds: np.ndarray) -> str:
+def _bound_of(
+    data: Mapping[str, Any], short: Mapping[str, str], splits: np.ndarray, kinds: np.ndarray
+) -> dict[str, Any]:
     """The robust search less the best published rule on the same trials."""
     from r2h_batch.report.statistics.intervals import paired_score_interval
 
@@ -561,9 +441,10 @@ def _bound_of(data: Mapping[str, Any], short: Mapping[str, str], splits: np.ndar
     low, high = (100 * x for x in paired_score_interval(more, less, n))
     rows = [np.array([c == "1" for c in seen[k]["won"]]) for k in (robust, best)]
     wide = paired_over_categories(rows[0], rows[1], splits[:n], kinds[:n], "S0+S1")
-    return BOUND.format(
-        best=short[best], points=100 * (more - less) / n, low=low, high=high, wide_low=wide["low"], wide_high=wide["high"],
-    )  # fmt: skip
+    return {
+        **{"best": short[best], "points": 100 * (more - less) / n, "low": low, "high": high},
+        **{"wide_low": wide["low"], "wide_high": wide["high"]},
+    }
 
 
 def certified_trials() -> tuple[Any, list[str]]:
@@ -578,16 +459,19 @@ def certified_trials() -> tuple[Any, list[str]]:
     return known, first.trials_with_ids(torch.from_numpy(known.trial_id)).object_names
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=100, help="of each split, told the truth")
-    parser.add_argument("--seen-trials", type=int, default=20, help="of each split of the seeing track")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument(
-        "--parts", type=Path, help="folder where rows and finished parts are kept: a stopped bench goes on"
-    )
-    page_from(parser, ROOT / "bench" / "results" / "whole.json", PAGE, measured, markdown)
-
+BENCH = Bench(
+    __doc__,
+    measured,
+    MEASURES,
+    {
+        "--trials": {"default": 100, "help": "of each split, told the truth"},
+        "--seen-trials": {"default": 20, "help": "of each split of the seeing track"},
+        "--processes": {"default": 2},
+        "--parts": {"type": Path, "help": "folder where rows and finished parts are kept: a stopped bench goes on"},
+    },
+    peer="own twins in float64",
+    stored="whole",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()
