@@ -33,7 +33,7 @@ def sources(folder: str) -> list[Path]:
 ROOMS = [p.name for p in (ROOT / "r2h_batch").iterdir() if (p / "__init__.py").exists()]
 DOTTED = re.compile(rf"(?<![\w./\"])(?:r2h_batch\.)?((?:{'|'.join(ROOMS)}|kernels)(?:\.[a-z_]\w*)+)(?!\w*\()")
 IN_PATH = re.compile(r"(?<![\w./])((?:[a-z_]+/)+[a-z_0-9]+\.py)")
-FILES = ("csv", "html", "json", "md", "npz", "xml")
+FILES = ("csv", "html", "json", "md", "npz", "py", "xml")
 OTHERS = ("acronym_tools/acronym.py",)
 """Files of other projects that docstrings name."""
 

@@ -102,7 +102,6 @@ def thinned(q):
     return np.array([q[k] for n, k in enumerate(keep) if n == 0 or (q[k] != q[keep[n - 1]]).any()])
 
 
-@pytest.mark.check
 @ROBOTS
 def test_the_planned_motion_beside_a_still_hand_has_todays_verdicts_bit_for_bit(robot):
     """Without an end before the plan's: the motion that was walked, judged as motions are, has the outcome, the

@@ -249,7 +249,6 @@ def poses_of(trials):
     return carried()[1].T_world_ee
 
 
-@pytest.mark.check
 def test_a_row_has_the_same_bits_alone_and_in_a_batch():
     trials, grasps, _ = asked()
     ev = evaluator("cell-v1")

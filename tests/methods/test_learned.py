@@ -29,7 +29,6 @@ def test_the_shipped_weights_are_small_and_learned_from_nothing_that_is_tested()
     assert len(told) == 80 and not tested & set(told) and all("_s1005_" in name for name in told)
 
 
-@pytest.mark.check
 def test_a_row_is_the_same_alone_in_any_order_and_with_another_batch(judge):
     trials = load_benchmark().trials(6)
     whole = learned.predict(trials, judge.scene)

@@ -46,7 +46,6 @@ def test_without_errors_it_is_the_search_of_the_oracle():
         assert torch.equal(found.T_obj_ee, told.T_obj_ee) and torch.equal(found.T_world_ee, told.T_world_ee)
 
 
-@pytest.mark.check
 def test_what_it_takes_holds_under_errors_that_it_has_not_drawn_better_than_what_a_plain_search_takes():
     plain = answers(0)
     assert share(answers(), seed=77) > share(plain, seed=77) + 0.1

@@ -180,7 +180,6 @@ SMALL = RIG.model_copy(update={"width": 320, "height": 180, "focal_px": 162.5, "
 """cell-v1 with a quarter of its pixels each way, and windows of few pixels."""
 
 
-@pytest.mark.check
 def test_256_trials_have_the_bits_that_they_have_alone_in_sevens_permuted_and_with_one_thread_and_with_two():
     scene, trials, T = cell(count=128)
     order = torch.from_numpy(np.random.default_rng(3).permutation(len(trials)))

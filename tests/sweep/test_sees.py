@@ -90,7 +90,6 @@ def run(methods, tmp_path_factory):
     return load_run(out)
 
 
-@pytest.mark.check
 def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_saw(run):
     rows, seen = run.trials("grab"), run.sees("grab")
     assert len(rows) == len(seen) == 10 and rows["trial_id"].to_pylist() == seen["trial_id"].to_pylist()

@@ -68,7 +68,7 @@ def test_a_failed_plan_is_shown_with_what_speaks_against_it(reader):
         (far, ("plan fails: the arm cannot reach the target", "stays")),
     ):
         panel = as_markdown(drawing)
-        assert all(name in panel for name in names) and panel.count("| fails |") + panel.count("| passes |") >= 2
+        assert all(name in panel for name in names) and len(re.findall(r"\| *(?:fails|passes) *\|", panel)) >= 2
 
 
 def test_a_failed_reach_shows_the_gap_and_a_failed_affordance_the_part_on_the_region(reader):

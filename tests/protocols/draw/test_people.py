@@ -57,7 +57,6 @@ def test_files_and_receivers_speak_of_the_same_lengths() -> None:
     assert set(LENGTHS_MM) | {"stature", "hand_length"} == set(LENGTHS_M)
 
 
-@pytest.mark.check
 def test_body_and_hand_are_of_one_person_of_the_table(children: Benchmark, trials: Trials) -> None:
     people = children.people
     assert people is not None and trials.receiver is not None
