@@ -2,14 +2,12 @@
 network against exact maps, and what 96 objects cost: docs/results/families.md.
 
 `python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned (`--sim
-none`). `--counted` counts the spreads again, from the rows that ship with the package. `--render` writes
-the page again from bench/results/families.json.
+none`). `--counted` counts the spreads again, from the rows that ship with the package.
 """
 
 import argparse
 import json
 import os
-import re
 import resource
 import statistics
 import subprocess
@@ -24,7 +22,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table, page_from, resident_mib, swept
+from _report import ROOT, Report, made_by, markdown_table, resident_mib, swept
+from run import Bench
 from scipy.special import stdtrit
 
 if TYPE_CHECKING:
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planned"
 """Rows of Table I."""
-STORED, PAGE = ROOT / "bench" / "results" / "families.json", ROOT / "docs" / "results" / "families.md"
+STORED = ROOT / "bench" / "results" / "families.json"
 MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
@@ -69,15 +68,11 @@ OF_REGIONS = 120
 """Trials of a category with each definition of its region."""
 ANY_TURN = "20,40,60"
 """Degrees about x, y and z: a turn that maps neither a box nor a voxel grid onto itself."""
-RECEIVERS = (
-    "Receivers of r2h-v2 are 2,000 people of 6 to 90 years, standing and seated, with hands of their own size. Those of r2h-v1"
-    " are adults with one hand."
-)
 ROUNDS, ROWS = 7, 128
 MOST_CATEGORIES = 1000
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
     place, trials = options.rows, options.trials
     if options.counted:
@@ -498,20 +493,14 @@ def table_lines(data: Mapping[str, Any]) -> str:
     return markdown_table(head, lines)
 
 
-COUNTS = {4: "four", 5: "five"}
-
 LEARNED = ("Contact", "Learned")
 """Methods that learned from other instances of the judged categories."""
 
-TABLE = re.compile(r"(?<=\[start:table\] -->\n).*?(?=<!-- --8<-- \[end:table\])", re.DOTALL)
-"""README's block of Table I."""
 
-
-def readme(text: str, data: Mapping[str, Any]) -> str:
-    """README.md with Table I of r2h-v2 in its block: SR, intervals for new categories, and which methods are tied.
+def table_one(data: Mapping[str, Any]) -> str:
+    """README's Table I of r2h-v2: SR, intervals for new categories, and which methods are tied.
 
     Args:
-        text: of README.md.
         data: `table`, `compared` and `turned`, as families.json has them; `unseen`: the cells of the row of
             Contact-Handover on categories that its predictor never saw.
     """
@@ -536,21 +525,7 @@ def readme(text: str, data: Mapping[str, Any]) -> str:
     lines.insert(
         1 + [short(t) for t in titles].index("Contact"), ["Contact-Handover, category not seen", *data["unseen"]]
     )
-    methods = len(whole["names"])
-    n, few = (data["table"]["rows"][0][k] for k in ("n", "few"))
-    parts = [
-        f"Success rates (SR) in percent on r2h-v2, {n} trials a split, motion as planned (`--sim none`). In brackets stands"
-        " the 95 % interval for the mean of all categories of objects. Behind it stands where the mean of"
-        f" {few} new categories lies: read this one for your own things. The last column compares methods over all trials:"
-        " *better* holds for new categories (t test over categories),"
-        " *better here* for these objects alone (McNemar). Both tests are corrected for all pairs of the"
-        f" {COUNTS[methods]} methods (Holm).",
-        "`*`: learned from other instances of these sixteen categories. Its brackets and words hold for things of these"
-        " categories alone. *Category not seen* is Contact-Handover with trees that never saw the category"
-        " (`contact,contacts=other-categories`). Its words are those of a table with it in Contact-Handover's place.",
-        markdown_table(["", "SR S0", "SR S1", "beside the others"], lines),
-    ]
-    return TABLE.sub(lambda _: "\n" + "\n\n".join(parts) + "\n\n", text, count=1)
+    return markdown_table(["", "SR S0", "SR S1", "beside the others"], lines)
 
 
 def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:
@@ -684,140 +659,69 @@ def network_report() -> dict[str, Any]:
     return json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())
 
 
-def network_lines(data: Mapping[str, Any]) -> str:
+def network_tables(data: Mapping[str, Any]) -> dict[str, Any]:
     """The contact network's report, and SR with it and with exact maps."""
-    report = network_report()
+    report, both = network_report(), data["exact"]
     frames = list(report["unseen_instances"])
+    left = {name: v for name, v in report["left_out"].items() if "region" in v[frames[0]]}
     lines = [
         [name, *(f"{report[key][frame]['region']:.2f}" for frame in frames)]
         for name, key in (("unseen instances", "unseen_instances"), ("objects of r2h-v1", "built_in_objects"))
     ]
-    left = {name: v for name, v in report.get("left_out", {}).items() if "region" in v[frames[0]]}
-    if left:
-        own = [[v[frame]["region"] for v in left.values()] for frame in frames]
-        lines.append(["categories left out, mean", *(f"{np.mean(values):.2f}" for values in own)])
+    own = [[v[frame]["region"] for v in left.values()] for frame in frames]
+    lines.append(["categories left out, mean", *(f"{np.mean(values):.2f}" for values in own)])
     lines.append(["exact maps, unseen instances", f"{report['exact_maps']['region']:.2f}", "same"])
-    parts = [markdown_table(["area under the curve, region", *frames], lines)]
-    if (some := report["unseen_instances"][frames[-1]]).get("instances"):
-        parts.append(
-            f"The turned column of unseen instances speaks of the first two of each category of S1 ({some['instances']}), which"
-            f" have {some['region_as_they_lie']:.2f} as they lie."
-        )
-    if left:
-        one = next(iter(left.values()))
-        each = ", ".join(f"{name.replace('_', ' ')} {v[frames[0]]['region']:.2f}" for name, v in left.items())
-        parts.append(
-            f"Categories left out: networks that saw no instance of some categories, in groups ({one['steps']:,} steps on"
-            f" {one['instances']} instances; the shipped network has {report['steps']:,} on"
-            f" {report['training_instances']}). As they lie: {each}. 0.50 is chance."
-        )
-    if "exact" not in data:
-        return "\n\n".join(parts)
     rates = [
         [name, *(f"{own[s]['sr']:.1f}" for s in ("S0", "S1", "Avg")), f"{own['S1']['f_afford']:.1f}"]
-        for name, own in data["exact"].items()
+        for name, own in both.items()
     ]
-    parts.append(markdown_table(["Contact-Handover with", "SR S0", "SR S1", "SR Avg", "F_afford S1"], rates))
-    share = 100 * data["exact"]["network"]["S1"]["sr"] / data["exact"]["exact"]["S1"]["sr"]
-    area = 100 * report["unseen_instances"][frames[0]]["region"] / report["exact_maps"]["region"]
-    parts.append(
-        f"In S1 the network reaches {share:.0f} % of the SR that exact maps give, and {area:.0f} % of their area."
-    )
-    return "\n\n".join(parts)
+    turned_one, one = report["unseen_instances"][frames[-1]], next(iter(left.values()))
+    return {
+        "areas": markdown_table(["area under the curve, region", *frames], lines),
+        "axes.turned_instances": turned_one["instances"],
+        "axes.as_they_lie": turned_one["region_as_they_lie"],
+        **{f"axes.{k}": report[k] for k in ("steps", "training_instances", "cpu_seconds")},
+        **{f"axes.left_out_{k}": one[k] for k in ("steps", "instances")},
+        "axes.of_each": ", ".join(f"{name.replace('_', ' ')} {v[frames[0]]['region']:.2f}" for name, v in left.items()),
+        "exact_rates": markdown_table(["Contact-Handover with", "SR S0", "SR S1", "SR Avg", "F_afford S1"], rates),
+        "share_of_exact": 100 * both["network"]["S1"]["sr"] / both["exact"]["S1"]["sr"],
+        "share_of_area": 100 * report["unseen_instances"][frames[0]]["region"] / report["exact_maps"]["region"],
+    }
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What pages show. failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the
-    splits, percent; axes.region, .region_turned: areas of the contact network on unseen instances."""
+    """What pages show: tables, and what is said of them.
+
+    failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the splits,
+    percent; axes.region, .region_turned: areas of the contact network on unseen instances.
+    """
     found = {f"failures.{k}": max(own.values()) for k, own in data["orders"]["r2h-v2"]["failures"].items()}
     network = network_report()
     lies, turned = network["unseen_instances"].values()
     found |= {"axes.region": lies["region"], "axes.region_turned": turned["region"]}
-    return found | {
+    found |= {
         f"axes.left_out.{name}": own["as it lies"]["region"]
         for name, own in network["left_out"].items()
         if "region" in own["as it lies"]
     }
-
-
-def markdown(data: Mapping[str, Any]) -> str:
-    """docs/results/families.md."""
+    rows, cost = data["table"]["rows"], data["cost"]
     spread, needs = spread_lines(data)
-    low = min(data["oracle"], key=data["oracle"].get)
-    rows = data["table"]["rows"]
-    n = {r["split"]: r["n"] for r in rows}
-    report = network_report()
-    trained, cpu = report["training_instances"] // len(data["oracle"]), f"{report['cpu_seconds']:,}"
-    parts = [
-        "# Object families: results",
-        "See which conclusions about methods hold on objects that nobody tuned to."
-        f" {RECEIVERS}"
-        f" `python bench/families.py --rows FOLDER --trials {data['trials']}` measured all of this with `--sim none` (rows of"
-        f" commit {data['rows_commit'][:12]}; `bench/results/families.json`). [Statistical terms](../statistics.md).",
-        "## Table I of r2h-v2",
-        f"{data['table']['origin']['instances']}. SR in percent; {n['S0']} trials in S0, {n['S1']} in S1. #1: share of bootstrap"
-        " draws of categories and their instances in which the method is first. Worst rank: with one category left out. 95 %"
-        " intervals are for more trials with these objects, for the mean of all objects, and for that of all categories. One is"
-        " for the mean of some new categories: read it for your own things. Contact-Handover's network was trained on other"
-        " instances"
-        " of these categories. [A row of networks that never saw the category]"
-        "(../baselines.md#categories-that-the-network-has-not-seen) stands beside it there.",
-        table_lines(data),
-        "[The same methods on meshes that nobody here drew](scans.md), from a folder of yours too.",
-        f"The oracle solves at least {data['oracle'][low]:.1f} % in every category.",
-        "Differences of SR between two methods, over all trials, with the 95 % interval for the mean of all categories and p of"
-        " the t test over categories (Holm over the six pairs):",
-        markdown_table(["", "difference", "95 % interval", "p", "verdict"], pair_lines(data)),
-        "## Turn test",
-        "The same trials with turned objects ([turn test](../statistics.md#turn-test)): points of SR gained, with the 95 %"
-        " interval over categories. `^`: success depends on the frame (Cochran's Q over all frames, by category and of all"
-        " trials; Holm over the methods). Handover-VA grasps from above along the frame's z, as published, and aligns its"
-        " template from the frame's axes, so its answer depends on them. Half turn and cycled axes map an object's voxel grid and"
-        f" its box onto themselves. A turn by other angles (`--turn {ANY_TURN}`, degrees about x, y and z) maps"
-        " neither."
-        " FC, Contact and Intent place the centre"
-        " of the object above the palm. Of r2h-v2's objects it is the centre of the smallest ball around them,"
-        " which turns with them."
-        " Of r2h-v1's objects it is that of the box along the frame's axes, as these rows are frozen."
-        " Contact-Handover's network reads a"
-        " voxel grid along the frame's axes, so such a turn changes its answer a little.",
-        turn_lines(data),
-        "## Contact network",
-        f"The network was trained on {trained} training instances a category ({cpu} CPU seconds) and works in"
-        " axes made from the object. For the sixteen objects of r2h-v1 there is another network, trained in the frames of their"
-        " meshes. Region: the part that the receiver wants.",
-        network_lines(data),
-        "## Order of the methods",
-        "SR is the mean of the splits. The last column names the pairs of methods whose difference over all trials is significant"
-        " for new categories (Holm over the six pairs). A star: it is for these objects alone (r2h-v1: at"
-        " least). Every other of the six pairs is tied.",
-        order_lines(data),
-        "## Which criteria fail",
-        "First failures in percent of all trials, mean of the splits, from the method with the fewest to the one with the most."
-        " Where a column is 0 it orders no methods."
-        " [Why the default takes none of these choices](../families.md#choices-of-r2h-v2s-default).",
-        failure_lines(data),
-        "## Two definitions of a region",
-        "The receiver's region is a set of parts, and which parts is a choice. The first line of a category is r2h-v2's, the"
-        " second another; both barrels of binoculars leave the gripper a tenth of the surface. SR in S1 of the category's"
-        f" {data['regions'][0]['instances']} shipped instances, {data['regions'][0]['n']} trials each, `--sim none`;"
-        " receiving hands and what methods see follow the region.",
-        region_lines(data),
-        "No data set was at hand that says where people take these things; the declared regions were not compared with one.",
-        "## How many instances",
-        "SR is measured on C categories, of which S0 has 6 in 16 and S1 the others. Each has m instances, and an instance has as"
-        " many trials as in Table I (14 in S0, 8 in S1). Splits count the same, as in Table I. Half of the 95 %"
-        " interval of Avg is `t_{C-2} sqrt((s_c^2 + (s_i^2 + s_t^2) / m) / C)`. s_c: spread between categories, s_i: between"
-        " instances of one, s_t: of an instance's SR by its trials, in points, from r2h-v2's rows. Columns C x m: half widths.",
-        spread,
-        "For the difference of two methods: the points measured, their spreads, and the half width at 16 x 6. It is that of the"
-        " [interval](#table-i-of-r2h-v2) above, but for what few categories that are alike add there. Then the fewest categories"
-        " at which its 95 % interval would leave out 0, with m instances of each. Among several pairs Holm's correction asks"
-        " for more.",
-        needs,
-        *cost_lines(data),
-    ]
-    return "\n\n".join(parts) + "\n"
+    return {
+        **found,
+        **network_tables(data),
+        **{f"{split}_trials": n for split, n in {r["split"]: r["n"] for r in rows}.items()},
+        "table_one": table_lines(data),
+        "oracle_least": min(data["oracle"].values()),
+        "pairs": markdown_table(["", "difference", "95 % interval", "p", "verdict"], pair_lines(data)),
+        "turns": turn_lines(data),
+        "of_category": network["training_instances"] // len(data["oracle"]),
+        "order": order_lines(data),
+        "first_failures": failure_lines(data),
+        **{f"region_{k}": data["regions"][0][k] for k in ("instances", "n")},
+        "definitions": region_lines(data),
+        **{"spread": spread, "needs": needs, "rows": ROWS, "rounds": ROUNDS},
+        "more_mib": cost["r2h-v2"]["resident_mib"] - cost["r2h-v1"]["resident_mib"],
+    }
 
 
 def pair_lines(data: Mapping[str, Any]) -> list[list[str]]:
@@ -832,41 +736,22 @@ def pair_lines(data: Mapping[str, Any]) -> list[list[str]]:
     ]
 
 
-def cost_lines(data: Mapping[str, Any]) -> list[str]:
-    """Seconds, memory and sizes, where they were measured."""
-    if "cost" not in data:
-        return []
-    own = data["cost"]
-    v1, v2 = own["r2h-v1"], own["r2h-v2"]
-    ready = (
-        f"r2h-v1, first in its process, with Warp and its kernels: {v1['ready_cpu_s']:.1f} CPU s, {v1['resident_mib']:.0f} MiB."
-        f" Then r2h-v2: {v2['ready_cpu_s']:.1f} CPU s, {v2['resident_mib'] - v1['resident_mib']:.0f} MiB more"
-    )
-    contacts, first, size = data["contacts_cpu_s"], own["first_use"], data["sizes"]
-    ms, ratio = own["trial_ms"], own["trial_ratio"]
-    lines = [
-        f"- A scene with warm tables, and its first {ROWS} trials. {ready}.",
-        f"- The first use on a machine, four methods, 20 trials of each, empty cache: {first['cpu_s']:.0f} CPU s. Grasps,"
-        " receiving hands and the contact network's answers for the instances are shipped.",
-        f"- The contact network on an object of yours: {contacts:.2f} CPU s, kept on disk afterwards.",
-        f"- A kinematic trial: {ms['r2h-v2']:.2f} ms, {ms['r2h-v1']:.2f} ms of r2h-v1; ratio by turns {ratio['median']:.2f}"
-        f" ({ratio['low']:.2f} to {ratio['high']:.2f}, {ROUNDS} turns of {ROWS} trials).",
-        f"- Files of the families: {size['families_mb']:.1f} MB, of {size['wheel_mb']:.1f} MB that a wheel packs.",
-    ]
-    return [
-        "## What 96 objects cost",
-        f"Process time on {data['hardware']['cores']} cores beside other work (load {data['hardware']['load_at_start']} when the"
-        " page was written).",
-        "\n".join(lines),
-    ]
-
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "--rows": {"default": ROOT / "runs" / "families", "type": Path, "help": "folder of the sweeps"},
+        "--trials": {"default": TRIALS, "help": "of each split of Table I"},
+        "--kept": {"action": "store_true", "help": "write what earlier calls measured, without measuring more"},
+        "--counted": {
+            "action": "store_true",
+            "help": "count the spreads again from the shipped rows, without a sweep",
+        },
+    },
+    peer="exact contact maps, r2h-v1",
+    stored="families",
+)
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--rows", type=Path, default=ROOT / "runs" / "families", help="folder of the sweeps")
-    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split of Table I")
-    parser.add_argument("--kept", action="store_true", help="write what earlier calls measured, without measuring more")
-    parser.add_argument(
-        "--counted", action="store_true", help="count the spreads again from the shipped rows, without a sweep"
-    )
-    page_from(parser, STORED, PAGE, measure, markdown)
+    BENCH.main()

@@ -1,6 +1,6 @@
 """Which methods change places when SR is not what counts: docs/results/ranks.md, from the JSON of other pages.
 
-`bench/tables.py --render` writes it; robustness, reception and moving receivers each have a bench of their own.
+Robustness, reception and moving receivers each have a bench of their own.
 """
 
 import json
@@ -12,20 +12,6 @@ from _report import ROOT, lines_of, markdown_table
 STORED = ROOT / "bench" / "results"
 LEVELS = {2: "5 mm, 1 deg", 3: "10 mm, 2 deg"}
 CASES = ("moves, planned", "moves, stop", "moves, servo", "moves, replan")
-
-PAGE = """# Which methods change places
-
-See whether a method keeps its rank under harder conditions. SR assumes exact execution and a hand that stands still. The
-other columns add [execution errors](robustness.md), a person who must [take](reception.md) the object, or a
-[hand that moves](moving.md). The linked pages have the rates (commits {commits}).
-
-{table}
-
-These pairs change places. A number is the first method's rate less the second's, in points. p is that of McNemar's exact
-test, corrected for all pairs of the column (Holm). It speaks about these objects.{stars}
-
-{pairs}
-"""
 
 
 def read(name: str) -> Any:
@@ -76,8 +62,8 @@ def corrected(case: str) -> dict[frozenset[str], float]:
     return dict(zip(counts, p.tolist(), strict=True))
 
 
-def page() -> str:
-    """docs/results/ranks.md."""
+def shown(_: object) -> dict[str, str]:
+    """Tables and commits of the page."""
     found = columns()
     methods = list(found["SR"])
     places = {c: {m: 1 + sum(x[o] > x[m] for o in methods) for m in methods} for c, x in found.items()}
@@ -89,11 +75,8 @@ def page() -> str:
             if before * after < 0:
                 said.append([c, f"{a} - {b}", f"{before:+.1f}", f"{after:+.1f}{tested(c, a, b)}"])
     sources = {name: read(name) for name in ("robustness", "reception", "closed_loop")}
-    return PAGE.format(
-        commits=", ".join(dict.fromkeys(s["commit"][:12] for s in sources.values())),
-        table=markdown_table(["Method", *found], rows),
-        stars=" `*`: decided for these objects, `**`: also for new ones."
-        if any("*" in row[-1] for row in said)
-        else "",
-        pairs=markdown_table(["column", "pair", "by SR", "by the column"], said),
-    )
+    return {
+        "commits": ", ".join(dict.fromkeys(s["commit"][:12] for s in sources.values())),
+        "table": markdown_table(["Method", *found], rows),
+        "pairs": markdown_table(["column", "pair", "by SR", "by the column"], said),
+    }

@@ -15,7 +15,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _report import ROOT, markdown_table, swept
+from _report import ROOT, Report, markdown_table, swept
+from run import Bench
 
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
@@ -131,10 +132,9 @@ def kept_pairs(order: Sequence[str], base: Sequence[str]) -> int:
     return sum(place[a] < place[b] for i, a in enumerate(base) for b in base[i + 1 :])
 
 
-def markdown(data: dict) -> str:
-    """The page: SR of each variant, and its change against the base."""
+def tables_of(data: dict) -> dict[str, Any]:
+    """SR of each variant, and its change against the base; how many keep the base's order."""
     variants_, base = data["variants"], data["variants"][0]
-    name = data["benchmark"]["name"]
     lines: list[list[object]] = []
     own_lines: list[list[object]] = []
     for v in variants_:
@@ -146,27 +146,20 @@ def markdown(data: dict) -> str:
         (lines if len(cells) == len(METHODS) else own_lines).append([v["name"], *cells, v["kept"]])
     stable = sum(v["kept"] == 6 for v in variants_[1:])
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
-    parts = [
-        "# How far each choice changes the rates",
-        "See how far one choice changes the success rates. Each line differs from the base in one choice"
-        f" ({name}, default preset, `--sim none`, {data['trials']} trials a split; `python bench/sensitivity.py`, commit"
-        f" {data['commit'][:12]}). `sensitivity.json` has first failures, splits and the test of each pair.",
-        "SR is the mean of the splits in percent, with its change in brackets. Pairs: of the six pairs of methods, how many keep"
-        " the order of the base.",
-        markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
-        "Options of one method ([meaning](../baselines.md#options-of-a-method)):",
-        markdown_table(["changed", "SR", "pairs"], own_lines),
-        f"{stable} of {len(variants_) - 1} variants keep the base's order of methods, {best} its best method. Orders are of"
-        " the rates as they are; whether a pair's difference is more than chance, the tests of `sensitivity.json` say.",
-    ]
-    return "\n\n".join(parts) + "\n"
+    return {
+        "table": markdown_table(["changed", *(TITLES[m] for m in METHODS), "pairs"], lines),
+        "options": markdown_table(["changed", "SR", "pairs"], own_lines),
+        **{"stable": stable, "best": best, "variants": len(variants_) - 1},
+    }
 
 
 def shown(_: Any) -> dict[str, Any]:
-    """What pages show of docs/results/sensitivity.json: VARIANT.METHOD.sr of both splits (.s0, .s1), with `_` for what is not a
-    word."""
+    """What pages show of docs/results/sensitivity.json: tables, and rates.
+
+    VARIANT.METHOD.sr of both splits (.s0, .s1), with `_` for what is not a word.
+    """
     data = json.loads(STORED.read_text())
-    found = {"trials": data["trials"], "benchmark": data["benchmark"]["name"]}
+    found = tables_of(data) | {k: data[k] for k in ("trials", "commit")} | {"benchmark": data["benchmark"]["name"]}
     for variant in data["variants"]:
         for method, rates in variant["rates"].items():
             name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")
@@ -203,16 +196,22 @@ def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequenc
     return {"trials": trials, **origin, "variants": found}
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, default=ROOT / "runs" / "sensitivity")
-    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
-    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
-    options = parser.parse_args()
-    if not options.render:
-        STORED.write_text(json.dumps(measure(options.out, options.trials), indent=1) + "\n")
-    STORED.with_suffix(".md").write_text(markdown(json.loads(STORED.read_text())))
+def run(options: argparse.Namespace, _: Report) -> None:
+    """The choices of the default benchmark; their JSON stands beside the page."""
+    import figures
 
+    STORED.write_text(json.dumps(measure(options.out, options.trials), indent=1) + "\n")
+    figures.write()
+
+
+BENCH = Bench(
+    __doc__,
+    run,
+    flags={
+        "--out": {"default": ROOT / "runs" / "sensitivity", "type": Path},
+        "--trials": {"default": TRIALS, "help": "of each split"},
+    },
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

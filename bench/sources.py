@@ -1,6 +1,6 @@
 """The list of rows, or commands that make them, behind each published figure: docs/results/sources.md.
 
-`python bench/tables.py --render` writes it. Pages, commits and seconds are looked up; only where rows are, and what a command is
+Pages, commits and seconds are looked up; only where rows are, and what a command is
 called where `make bench` does not say it, stands here.
 """
 
@@ -31,33 +31,6 @@ COMMANDS = {
 }
 """JSON -> its command, if it is not bench/NAME.py."""
 
-PAGE = """# What is behind each figure
-
-Find the rows of a published figure, or the command that makes it. A folder of rows is a run: `r2h-batch report FOLDER` prints
-its table, and `r2h-batch results reevaluate FOLDER` judges its rows again if it holds poses. Rows of the default benchmark are
-part of the package.
-
-## Tables
-
-Each table has its command in its JSON (`docs/results/NAME.json`, `provenance`).
-
-{tables}
-
-## Benches
-
-`python COMMAND` makes a JSON of `bench/results`, and the pages show its figures. `make stale` lists how long each took and on
-which commit. Where no rows are named the command makes them. A command of more than 120 s without rows is a gap: its rows are
-not stored.
-
-`*`: rates of a commit before subjects went from the package (CHANGELOG, Gone), not measured again since. Later code judged
-golden's trials and all rows of the tables `table1-*` again: no outcome differs. But in `whole` and in a
-table of `learn` the object is where a simulated closing had put it, and Received takes it elsewhere now.
-
-{benches}
-
-`docs/results/sensitivity.json` and `table1-v1-choices.json` have the command of each variant. One takes at most two minutes.
-"""
-
 
 def folders(published: Any) -> list[list[object]]:
     """A line for each stored table: name, folder of its rows, rows, commit."""
@@ -72,7 +45,7 @@ def folders(published: Any) -> list[list[object]]:
     return lines
 
 
-def shown(name: str, pages: list[Path]) -> str:
+def links(name: str, pages: list[Path]) -> str:
     """A bench's pages, as links from the page of sources."""
     found = []
     for page in pages:
@@ -82,9 +55,10 @@ def shown(name: str, pages: list[Path]) -> str:
     return ", ".join(found)
 
 
-def page(published: Any) -> str:
-    """docs/results/sources.md."""
+def shown(_: object) -> dict[str, str]:
+    """Both tables of the page."""
     import figures
+    from tables import PUBLISHED
 
     measured = figures.stored()
     texts = {p: p.read_text("utf-8") for p in figures.pages() if p != ROOT / HERE and p.is_relative_to(ROOT / "docs")}
@@ -96,8 +70,8 @@ def page(published: Any) -> str:
     for name, own in sorted(of_bench.items()):
         command = f"`{COMMANDS.get(name, f'bench/{name}.py')}`"
         commit = measured[name].data["commit"][:12] + (" *" if name in EARLIER else "")
-        benches.append([name, shown(name, own), command, ROWS.get(name, ""), commit])
-    return PAGE.format(
-        tables=markdown_table(["table", "rows", "flags", "number", "commit"], folders(published), left=True),
-        benches=markdown_table(["JSON", "pages", "command", "rows", "commit"], benches, left=True),
-    )
+        benches.append([name, links(name, own), command, ROWS.get(name, ""), commit])
+    return {
+        "tables": markdown_table(["table", "rows", "flags", "number", "commit"], folders(PUBLISHED), left=True),
+        "benches": markdown_table(["JSON", "pages", "command", "rows", "commit"], benches, left=True),
+    }

@@ -1,21 +1,18 @@
 """All published figures of the built-in methods, from one clean commit: `make tables`.
 
     python bench/tables.py             # sweeps, then every page and picture
-    python bench/tables.py --render    # the pages again from the stored rows, after a change of words
+    python bench/tables.py --render    # the tables and pages again from the stored rows
     python bench/tables.py --pictures  # the pictures again from the stored rows, after a change of drawing
 
 The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. Only when all are done do files change:
 
     r2h_batch/report/compare/rows/*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
-    docs/results/table1-v1.md                     what a reader needs of them
-    docs/results/sensitivity.{md,json}            what each choice is worth (default benchmark)
+    docs/results/sensitivity.json                 what each choice is worth (default benchmark)
     docs/results/table1-v1-choices.json           what some of them are worth on r2h-v1
-    docs/results/findings.md, README.md    what follows from the tables
-    docs/results/{ranks,families}.md              from the JSON of their benches, which run by themselves
     docs/*.png, docs/pictures/*.png               pictures of runs
-    docs/results/sources.md                       which rows, or which command, are behind each figure
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
+    README.md, docs/results/*.md                  the figures and tables of all pages (bench/figures.py)
 
 tests/test_figures.py and tests/test_published.py hold all of this to the present code.
 """
@@ -33,13 +30,13 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import families
-import findings
+import figures
 import pictures
 import ranks
 import sensitivity
-import sources
 from _report import ROOT, markdown_table, swept
 
 RESULTS = Path("docs/results")
@@ -117,13 +114,6 @@ TIMES = {
     "T_exec, s": ("t_exec_s", 1, ".2f"),
     "T_method, us": ("t_method_s", 1e6, ".0f"),
 }
-NOTES = """- SR: trials that succeed. F_*: trials whose first failure is that criterion. SR and F_* add up to 100.
-- The region is the part of the object that the receiver wants (S1). F_afford: the gripper holds it.
-- Presented (not in SR): it faces the palm within reach."""
-TIMES_NOTES = """- T_plan: wall time of planning a batch / its size. T_exec: mean over trials whose arm came to rest at its goal.
-  T_method: the method's own time.
-- SR, 95 %: for more trials with these objects (Wilson); for the mean of all objects of the same kind (over objects).
-- Arm or torso met: percent of the motions. They count in Safe only with `--receiver body`."""
 
 
 def git(*words: str) -> str:
@@ -197,7 +187,7 @@ def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> 
     return {method: " / ".join(cells) for method, cells in found.items()}
 
 
-def table_1() -> dict[str, object]:
+def table_1() -> dict[str, Any]:
     """README's Table I: rates and pairs of the shipped rows, turn tests of the benches."""
     from r2h_batch.report.compare.stored import load_rows
 
@@ -278,8 +268,8 @@ MOVING = {
 """Variants of docs/results/table1-v1-choices.json that the page of r2h-v1 names, and what they change."""
 
 
-def truth_about_v1() -> str:
-    """The part of the page about what the rates of r2h-v1 depend on: the frames of its meshes, and choices."""
+def truth_about_v1() -> dict[str, object]:
+    """What the rates of r2h-v1 depend on: the frames of its meshes, and choices."""
     from r2h_batch.report.turn import WORDS
 
     turned = ranks.read("families")["turned"]["r2h-v1"]
@@ -308,43 +298,32 @@ def truth_about_v1() -> str:
     contact, intent = tests["Contact-Handover", "S1"], tests["Intent-Handover", "S1"]
     worst = min(contact["moves"], key=lambda m: m["points"])
     other = next(m for m in intent["moves"] if m["turn"] == worst["turn"])
-    return "\n\n".join([
-        "## What these rates depend on",
-        "Contact-Handover's rate in S1 depends on the frames of these sixteen meshes: its contact network learned them. So does"
-        f" its tie with Intent-Handover. On the same trials with turned objects ({WORDS[worst['turn']]}) it falls from"
-        f" {contact['rate']:.1f} to {contact['rate'] + worst['points']:.1f} % (95 % of the difference {worst['low']:+.1f} to"
-        f" {worst['high']:+.1f} points). Intent-Handover has {intent['rate']:.1f} and {intent['rate'] + other['points']:.1f} %"
-        f" ({contact['n']} trials of S1, `--sim none`; [families](families.md)). r2h-v1 stays as it is; r2h-v2 asks methods"
-        " about objects that no network here has seen, though of categories that it has.",
-        "Points of SR by one changed choice ([more of them](sensitivity.md)); empty: the choice is another method's.",
-        markdown_table(["changed", *titles.values()], lines),
-    ])  # fmt: skip
+    return {
+        "turn": WORDS[worst["turn"]],
+        **{"contact": contact["rate"], "contact_turned": contact["rate"] + worst["points"]},
+        **{"low": worst["low"], "high": worst["high"], "of_turned": contact["n"]},
+        **{"intent": intent["rate"], "intent_turned": intent["rate"] + other["points"]},
+        "choices": markdown_table(["changed", *titles.values()], lines),
+    }
 
 
-def v1_page(published: Published, data: dict) -> str:
-    """docs/results/table1-v1.md: the benchmark's table, and what is behind it."""
+def shown(_: object) -> dict[str, object]:
+    """What README and the page of r2h-v1 show."""
     from r2h_batch.runs.store import load_run
 
-    run, made = load_run(ROOT / published.rows), data["provenance"]
-    parts = [
-        f"# {published.title}",
-        "See how often the built-in methods succeed on r2h-v1 (16 objects, adults), why they fail, how long motions take, and how"
-        f" certain the rates are. `{made['command']}` made the rows in `{made['rows']}` (commit {made['commit'][:12]})."
-        f" `{published.name}.json` has counts and all intervals.",
-        "A cell has the values for S0 / S1. Rates are percent.",
-        columns_table(rates_of(data)),
-        NOTES,
-        truth_about_v1(),
-        "## Times and intervals",
-        columns_table(times_of(data) | intervals_of(data)),
-        TIMES_NOTES,
-        "## Why Plan fails",
-        "Percent of a method's Plan failures. A column names the pair of bodies that overlap in the posture of the first IK"
-        " branch, or `ik_unreachable`.",
-        plan_table(run),
-        f"`r2h-batch report {published.rows.as_posix()} --by-object` prints the rates of each object.",
-    ]
-    return "\n\n".join(parts) + "\n"
+    own = table_1()
+    first = own["table"]["rows"][0]
+    data = json.loads((ROOT / RESULTS / f"{TABLES[0].name}.json").read_text())
+    made = data["provenance"]
+    return {
+        "one": families.table_one(own),
+        **{"n": first["n"], "few": first["few"]},
+        **{k: made[k] for k in ("command", "rows", "commit")},
+        "rates": columns_table(rates_of(data)),
+        **truth_about_v1(),
+        "times": columns_table(times_of(data) | intervals_of(data)),
+        "plans": plan_table(load_run(ROOT / TABLES[0].rows)),
+    }
 
 
 def table_files(published: Published, rows: Path) -> dict[str, str]:
@@ -367,20 +346,8 @@ def table_files(published: Published, rows: Path) -> dict[str, str]:
 
 
 def render_all() -> dict[Path, str]:
-    """Every published text (path from the checkout's root), from the stored rows and docs/results/sensitivity.json."""
-    files = {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
-    data = {p.name: json.loads(files[RESULTS / f"{p.name}.json"]) for p in TABLES}
-    files[RESULTS / "table1-v1.md"] = v1_page(TABLES[0], data[TABLES[0].name])
-    files[RESULTS / "sensitivity.md"] = sensitivity.markdown(
-        json.loads((ROOT / RESULTS / "sensitivity.json").read_text())
-    )
-    files[RESULTS / "findings.md"] = findings.page(data)
-    files[RESULTS / "ranks.md"] = ranks.page()
-    measured = ranks.read("families")
-    files[RESULTS / "families.md"] = families.markdown(measured)
-    files[Path("README.md")] = families.readme((ROOT / "README.md").read_text(), table_1())
-    files[Path(sources.HERE)] = sources.page(PUBLISHED)
-    return files
+    """The tables' files (path from the checkout's root), from the stored rows."""
+    return {RESULTS / name: text for p in TABLES for name, text in table_files(p, ROOT / p.rows).items()}
 
 
 def install(place: Path, commit: str) -> None:
@@ -409,14 +376,16 @@ def draw(made: dict[str, object]) -> None:
 
 
 def write(files: dict[Path, str]) -> None:
+    """Writes the tables' files, and then the pages."""
     for path, text in files.items():
         (ROOT / path).write_text(text)
         print(path)
+    figures.write()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--render", action="store_true", help="the pages again from the stored rows")
+    parser.add_argument("--render", action="store_true", help="the tables and pages again from the stored rows")
     parser.add_argument("--pictures", action="store_true", help="the pictures again from the stored rows")
     parser.add_argument(
         "--trials", type=int, default=500, help="of each split and table; choices of r2h-v1 take 2/5 of them"
@@ -445,7 +414,7 @@ def main() -> None:
         sys.exit("tables: files changed while the sweeps ran; run the command again")
     install(place, commit)
     print(
-        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in bench/findings.py, and commit"
+        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in docs/results/findings.md, and commit"
     )
 
 
