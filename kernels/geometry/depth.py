@@ -33,10 +33,13 @@ class Polytope:
 
 
 @wp.func
-def _farthest(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dtype=wp.vec3), d: wp.vec3d) -> wp.vec3d:
+def _farthest(
+    a: Shape, R: wp.mat33, p: wp.vec3, a_points: wp.array(dtype=wp.vec3), b: Shape,
+    b_points: wp.array(dtype=wp.vec3), d: wp.vec3d,
+) -> wp.vec3d:  # fmt: skip
     """The point of the difference that is farthest along d."""
     n = wp.vec3(d)
-    x = R * support(a, points, wp.transpose(R) * n) + p - support(b, points, -n)
+    x = R * support(a, a_points, wp.transpose(R) * n) + p - support(b, b_points, -n)
     return wp.vec3d(x)
 
 
@@ -80,7 +83,10 @@ def _open_edge(size: Polytope, i: int, j: int, edge: wp.array(dtype=wp.vec2i)):
 
 
 @wp.func
-def core_depth(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dtype=wp.vec3)) -> float:
+def core_depth(
+    a: Shape, R: wp.mat33, p: wp.vec3, a_points: wp.array(dtype=wp.vec3), b: Shape,
+    b_points: wp.array(dtype=wp.vec3),
+) -> float:  # fmt: skip
     """A lower bound of the penetration depth (m) of the cores of a at (R, p) and b, both in b's frame; 0 where none is known.
 
     Within 1 % of the depth unless 64 corners do not do. Flat differences (of two segments) have no depth.
@@ -114,7 +120,7 @@ def core_depth(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dty
                 if side == 2 and k == 2:  # the other direction square to the line
                     away = wp.cross(x[1] - x[0], d)
                     d = away / wp.length(away)
-                x[k] = _farthest(a, R, p, b, points, d)
+                x[k] = _farthest(a, R, p, a_points, b, b_points, d)
                 found = float(wp.where(k == 0, wp.float64(1.0), wp.abs(wp.dot(d, x[k] - x[0]))))
         if found < FLAT_M:
             return 0.0
@@ -135,7 +141,7 @@ def core_depth(a: Shape, R: wp.mat33, p: wp.vec3, b: Shape, points: wp.array(dty
             if height[k] < height[nearest]:
                 nearest = k
         lower = wp.max(lower, float(height[nearest]))
-        w = _farthest(a, R, p, b, points, normal[nearest])
+        w = _farthest(a, R, p, a_points, b, b_points, normal[nearest])
         upper = float(wp.dot(normal[nearest], w))
         running = upper > 0.0 and upper - lower > GAP * upper + 1.0e-6 and size.points < POINTS
         if running:

@@ -37,7 +37,9 @@ class Shape:
 
     kind: int
     size: wp.vec3
-    start: int  # HULL: its points are points[start : start + count]; BLOCKS: `count` blocks from that row on
+    # HULL: its points are points[start : start + count]; BLOCKS: `count` blocks from that row on, or, below 0, from row
+    # -1 - start of a batch's own points (robot/world.py, `points_of`)
+    start: int
     count: int
     radius: float  # grown by this (capsules: theirs)
 
@@ -73,7 +75,7 @@ def support(shape: Shape, points: wp.array(dtype=wp.vec3), d: wp.vec3):
         row = points[shape.start + direction_cell(d)]
         p = farthest_in_blocks(points, shape.start + int(row[0]), int(row[1]), d)
     elif shape.kind == BLOCKS:
-        p = farthest_in_blocks(points, shape.start, BLOCK_POINTS * shape.count, d)
+        p = farthest_in_blocks(points, wp.max(shape.start, -1 - shape.start), BLOCK_POINTS * shape.count, d)
     elif shape.kind == HULL:
         best = float(-1.0e30)
         at = int(shape.start)

@@ -18,7 +18,7 @@ from r2h_batch.kernels.plan.codes import PAIR_HAND, PAIR_OF_OBJECT
 from ..plan.posture import BodyInPlace, Obstacle, PairClearance, in_place, obstacle_of, posture_clearance
 from ..robot.joints import FRAMES, JOINTS, OBJECT
 from ..robot.posture import load_waypoint
-from ..robot.world import TrialBodies, World, body_pose, forward_kinematics
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, points_of
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})
 
@@ -42,9 +42,10 @@ def _pair_depth(world: World, body: BodyInPlace, obstacle: Obstacle):
     Rt = wp.transpose(obstacle.R)
     R = Rt * body.R
     p = Rt * (body.p - obstacle.p)
-    found = gjk(body.shape, R, p, world.points, obstacle.shape, world.points, obstacle.center, 1.0e30, 0.0)
+    points = points_of(world, obstacle.shape)
+    found = gjk(body.shape, R, p, world.points, obstacle.shape, points, obstacle.center, 1.0e30, 0.0)
     depth = -found.upper - ROUNDING_M
-    core = core_depth(body.shape, R, p, obstacle.shape, world.points)
+    core = core_depth(body.shape, R, p, world.points, obstacle.shape, points)
     if core > 0.0:
         depth = wp.max(depth, core + body.shape.radius + obstacle.shape.radius)
     return depth

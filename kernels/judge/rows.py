@@ -205,3 +205,19 @@ def posture_lengths(first: int, active_in: wp.array(dtype=wp.bool), length_out: 
     """Waypoints of a path that is one posture: none in rows that are not active."""
     row = first + wp.tid()
     length_out[row] = wp.where(active_in[row], 1, 0)
+
+
+@wp.kernel
+def nearer_rows(
+    first: int, distance_in: wp.array(dtype=float), body_in: wp.array(dtype=int), point_in: wp.array(dtype=wp.vec3),
+    person_in: wp.array(dtype=float), person_body_in: wp.array(dtype=int),
+    distance_out: wp.array(dtype=float), body_out: wp.array(dtype=int), point_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    """The nearer of the hand and the rest of the person, whose point nobody knows; NaN where either is."""
+    row = first + wp.tid()
+    person = person_in[row]
+    nearer = person < distance_in[row]
+    distance_out[row] = wp.where(nearer or wp.isnan(person), person, distance_in[row])
+    body_out[row] = wp.where(nearer, person_body_in[row], body_in[row])
+    unknown = wp.vec3(wp.nan, wp.nan, wp.nan)
+    point_out[row] = wp.where(nearer, unknown, point_in[row])

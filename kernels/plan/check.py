@@ -37,7 +37,7 @@ from r2h_batch.kernels.plan.codes import (
 )
 
 from ..robot.joints import CHANGES, LINKS, OBJECT
-from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, twists
+from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, points_of, twists
 from .obstacles import (
     MAY_MEET,
     Near,
@@ -273,7 +273,9 @@ def check_interval(
                 needed = margin + travel
                 if seeks:
                     needed = wp.max(needed, out.best)  # a clearance that becomes the best must have converged
-                dist = gjk(body.shape, pair_R, pair_p, world.points, shape, world.points, center, needed, gap)
+                dist = gjk(
+                    body.shape, pair_R, pair_p, world.points, shape, points_of(world, shape), center, needed, gap
+                )
                 if seeks and (query.aim == 1 or dist.lower >= kept):
                     if dist.lower < out.best:
                         # a core that is met has no clearance, only an overlap that GJK does not measure

@@ -27,6 +27,7 @@ from ..robot.world import (
     link_frame,
     motion,
     object_shape,
+    points_of,
     relative_acceleration,
     robot_shape,
 )
@@ -163,7 +164,7 @@ def settle_pair(
     apart = lower
     if moving and apart < margin + travel and apart > margin + least_rest(second, third) and upper > 0.0:
         n_hat = direction / wp.length(direction)
-        farthest = wp.dot(n_hat, support(shape, world.points, n_hat)) + shape.radius
+        farthest = wp.dot(n_hat, support(shape, points_of(world, shape), n_hat)) + shape.radius
         wr = body.w
         vr = body.v
         n = n_hat

@@ -39,6 +39,7 @@ from ..robot.world import (
     link_frame,
     object_shape,
     piece_shape,
+    points_of,
     robot_shape,
 )
 
@@ -259,8 +260,9 @@ def pair_clearance(world: World, body: BodyInPlace, obstacle: Obstacle, known: f
         needed = wp.where(phase == MEET, wp.max(known, 0.0), wp.where(phase == DEEPER, 0.0, 1.0e30))
         at_scale = p + (1.0 - scale) * (R * body.middle)
         dist = gjk(
-            shrunk, scale * R, at_scale, world.points, obstacle.shape, world.points, obstacle.center, needed, 0.0
-        )
+            shrunk, scale * R, at_scale, world.points, obstacle.shape, points_of(world, obstacle.shape), obstacle.center,
+            needed, 0.0,
+        )  # fmt: skip
         if phase == MEET and dist.lower >= 0.0:
             running = False
             out.clearance = dist.lower

@@ -59,7 +59,6 @@ def _distance(a: wp.vec3, b: wp.vec3):
 @wp.kernel
 def place_person(
     first: int,
-    before: int,  # rows of points that stand before those written here
     of_hand: int,  # pieces of the trial's hand that stand before the person's; 0: the person alone
     # the scene's tables of pieces, as `World` has them
     piece_start_in: wp.array(dtype=int), piece_blocks_in: wp.array(dtype=int), piece_round_in: wp.array(dtype=float),
@@ -73,7 +72,7 @@ def place_person(
     piece_round_out: wp.array2d(dtype=float), piece_center_out: wp.array2d(dtype=wp.vec3),
     piece_radius_out: wp.array2d(dtype=float), hand_center_out: wp.array(dtype=wp.vec3),
     hand_radius_out: wp.array(dtype=float),
-    points_out: wp.array2d(dtype=wp.vec3),  # (B, PIECES * BLOCK_POINTS)
+    own_points_out: wp.array2d(dtype=wp.vec3),  # (B, PIECES * BLOCK_POINTS)
 ):  # fmt: skip
     """A trial's hand with the person's pieces behind its own, in the hand's frame, where all collision work is done.
 
@@ -98,7 +97,7 @@ def place_person(
             at = (3 * k + j) % (3 * BLOCK_POINTS)
             x = corner[k / BLOCK_POINTS * CORNERS + at % BLOCK_POINTS % CORNERS]
             v[j] = x[at / BLOCK_POINTS]
-        points_out[row, k] = v
+        own_points_out[row, k] = v
     for k in range(PIECES):
         low = corner[k * CORNERS]
         high = low
@@ -113,7 +112,7 @@ def place_person(
         if k < 2:
             grown = receiver_in[row, 1 - k, 3]
         i = of_hand + k
-        piece_start_out[row, i] = before + BLOCK_POINTS * (PIECES * row + k)
+        piece_start_out[row, i] = -1 - BLOCK_POINTS * (PIECES * row + k)
         piece_blocks_out[row, i] = 1
         piece_round_out[row, i] = grown
         piece_center_out[row, i] = center

@@ -42,7 +42,7 @@ def _distance(a: wp.vec3, b: wp.vec3):
 @wp.kernel
 def place_resting(
     first: int,
-    before: int,  # rows of points that stand before those written here
+    before: int,  # rows of the batch's own points that stand before those written here
     of_hand: int,  # pieces of the trial's hand that stand before the object's
     hulls: int,  # pieces of an object, at most; one with fewer has its first one again
     blocks: int,  # of points that the largest piece fills
@@ -100,7 +100,7 @@ def place_resting(
         for i in range(count):
             radius = wp.max(radius, _distance(_in_frame(R, p, _world_point(T, point_in[start + i])), center))
         piece = of_hand + k
-        piece_start_out[row, piece] = before + row * hulls * blocks * BLOCK_POINTS + at
+        piece_start_out[row, piece] = -1 - (before + row * hulls * blocks * BLOCK_POINTS + at)
         piece_blocks_out[row, piece] = filled
         piece_round_out[row, piece] = 0.0
         piece_center_out[row, piece] = center

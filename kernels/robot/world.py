@@ -51,8 +51,10 @@ class World:
     table_half: wp.vec3
     # hull points of all hands' pieces (hand frame, in blocks) and all objects (object frame)
     points: wp.array(dtype=wp.vec3)
+    # points of the pieces that a batch brings along: arm and torso of its receivers, objects that rest
+    own_points: wp.array(dtype=wp.vec3)
     n_pieces: int
-    # (H * n_pieces,) first row of each piece's blocks of points (geometry/shape.py, BLOCKS)
+    # (H * n_pieces,) first row of each piece's blocks of points (geometry/shape.py, BLOCKS); -1 - row: of `own_points`
     piece_start: wp.array(dtype=int)
     piece_blocks: wp.array(dtype=int)  # how many blocks these are
     # the piece is its points' hull grown by this (m): a hand's 0, an arm's its radius
@@ -156,6 +158,12 @@ def piece_shape(world: World, piece: int):
     b.count = world.piece_blocks[piece]
     b.radius = world.piece_round[piece]
     return b
+
+
+@wp.func
+def points_of(world: World, shape: Shape):
+    """The table that an obstacle's points stand in."""
+    return wp.where(shape.start < 0, world.own_points, world.points)
 
 
 @wp.func

@@ -3,7 +3,7 @@ arm and torso."""
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,7 +14,7 @@ from torch import Tensor
 from r2h_batch.base.launch import new_outputs, over_trials
 from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
-from r2h_batch.kernels.judge.rows import posture_lengths
+from r2h_batch.kernels.judge.rows import nearer_rows, posture_lengths
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses, Scene
 
@@ -101,6 +101,21 @@ class HandTables(NamedTuple):
     world: Any
     mesh: Any
 
+    @staticmethod
+    def of(scene: Scene, body_poses: BodyPoses, own: "HandTables | None" = None) -> "HandTables":
+        """`own`, or the scene's: those that `body_poses` counts.
+
+        Raises ValueError for bodies among pieces that a batch brings along. The kernels of Safe read the points of a hand's
+        pieces in `World.points`; those of a person or a resting object stand in `World.own_points`.
+        """
+        found = own or HandTables(scene.world, scene.hand_mesh)
+        if body_poses.world is not None or found.world.own_points is not None:
+            raise ValueError(
+                "the distance from the hand is asked of bodies among a person's or a resting object's pieces; give those that"
+                " Scene.body_poses made, and ask person_distance for the person"
+            )
+        return found
+
 
 def hand_distance(
     scene: Scene,
@@ -122,7 +137,7 @@ def hand_distance(
         bodies: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None
     ) -> tuple[Tensor, ...]:
         b, moves = len(length), (length > 0) & (active if rows is None else active[rows])
-        tables = {"world": scene.world, "mesh": scene.hand_mesh, "bodies": bodies.bodies}
+        tables = HandTables.of(scene, bodies)._asdict() | {"bodies": bodies.bodies}
         found = new_outputs(safe_distance, b, scene.device)
         found["body"].fill_(-1)
         found["segment"].fill_(-1)
@@ -243,7 +258,7 @@ def hand_distance_at(
         cap_m: exact below this, a lower bound above, m.
         hands: those that `body_poses` counts; None: the scene's.
     """
-    tables = hands or HandTables(scene.world, scene.hand_mesh)
+    tables = HandTables.of(scene, body_poses, hands)
     made = over_trials(scene.sized(goal_safe_distance), len(active), scene.device)(
         cap=cap_m,
         world=tables.world,
@@ -276,11 +291,12 @@ def nearer_of(
         person_m: (B,) distance of arm and torso, m; NaN: not known.
         body: (B,) the robot's body there.
     """
-    nearer = person_m < hand.distance_m
-    return NearestApproach(
-        torch.minimum(hand.distance_m, person_m),  # NaN where either is NaN
-        torch.where(nearer, body, hand.body),
-        hand.segment,
-        hand.fraction,
-        torch.where(nearer[:, None], torch.nan, hand.point),
+    made = over_trials(nearer_rows, len(body), str(body.device))(
+        distance=hand.distance_m.contiguous(),
+        body=hand.body.contiguous(),
+        point=hand.point.contiguous(),
+        person=person_m.contiguous(),
+        person_body=body.to(torch.int32),
     )
+    found = {"distance_m": made["distance"], "body": made["body"], "point": made["point"]}
+    return replace(hand, **found)

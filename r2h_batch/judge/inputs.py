@@ -20,6 +20,8 @@ from r2h_batch.types import Predictions, Trials
 
 MOST_M = 1000.0
 """No number of a receiver is larger; poses beyond are INVALID_INPUT."""
+_LEAST = torch.full((5, 4), -MOST_M, dtype=torch.float32, device="cpu")
+_LEAST[:2, 3] = _LEAST[4, :3] = 0.0  # radii and half sizes
 Stages = Literal["pose", "all"]
 """How far `Evaluator.score` goes: what needs no path, or everything."""
 
@@ -191,10 +193,9 @@ def check_receiver(config: EvalConfig, trials: Trials) -> None:
         )
     found = trials.receiver
     if found.is_cpu and not torch.compiler.is_compiling():  # a malformed receiver never collides
-        thick = torch.cat([found[:, :2, 3], found[:, 4, :3]], 1)  # radii and half sizes, m
-        wrong = ~(found.abs() < MOST_M).all(2).all(1) | ~(thick > 0).all(1)
-        if bool(wrong.any()):
-            row = int(wrong.int().argmax())
+        fine = (found > _LEAST) & (found < MOST_M)
+        if not bool(fine.all()):
+            row = int(fine.flatten(1).all(1).int().argmin())
             raise ValueError(
                 f"trials.receiver of row {row} has NaN, infinity or a number beyond {MOST_M:g} m, or a size that"
                 " is not above 0; take a benchmark of people, or receiver='hand'"

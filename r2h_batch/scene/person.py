@@ -4,14 +4,15 @@ planning and Safe see of a person.
 A forearm and an upper arm are capsules: the segment between two joints grown by a radius. The torso
 is a box that stands upright. They differ from trial to trial and cannot lie in the scene's tables:
 each batch gets tables of its own in which every row is a hand, the hand's own pieces first, then
-these three.
+these three. Their points stand in a table of their own (`World.own_points`): the scene's points are
+ten megabytes, and nothing here copies them. All is written by one kernel over the rows, so a small
+call is recorded with it (`base.launch.repeated`).
 """
 
 from dataclasses import replace
 from typing import Any
 
 import torch
-import warp as wp
 from jaxtyping import Float32, Float64
 from torch import Tensor
 
@@ -45,12 +46,9 @@ def with_person(
     """
     base = scene.world if hand else scene.world_of_robot
     of_hand = int(base.n_pieces) if hand else 0
-    # hulls of hands, objects and arms have their points in the same table
-    shared = hand or bool(scene.robot.arm.corners)
     pieces = of_hand + len(PIECES)
-    sizes = dict.fromkeys(_OF_PIECES, pieces) | {"points": len(PIECES) * int(BLOCK_POINTS)}
+    sizes = dict.fromkeys(_OF_PIECES, pieces) | {"own_points": len(PIECES) * int(BLOCK_POINTS)}
     made = over_trials(kernels.place_person, len(receiver), scene.device, sizes=sizes, chunk=256)(
-        before=base.points.shape[0] if shared else 0,
         of_hand=of_hand,
         **{name: getattr(scene.world, name) for name in _OF_PIECES},
         receiver=receiver.contiguous(),
@@ -58,9 +56,7 @@ def with_person(
         R_hand_world=body_poses.R_hand_world,
         p_hand_world=body_poses.p_hand_world,
     )
-    rows, tables = made["row"], {name: made[name].flatten(0, 1) for name in (*_OF_PIECES, "points")}
-    if shared:
-        tables["points"] = torch.cat([wp.to_torch(base.points), tables["points"]])
+    rows, tables = made["row"], {name: made[name].flatten(0, 1) for name in sizes}
     tables |= {name: made[name] for name in ("hand_center", "hand_radius")}
     world: Any = struct_with(base, scene.sized(World), tables)
     world.n_pieces = pieces

@@ -38,8 +38,9 @@ def with_resting(
     of_hand = int(base.n_pieces)
     sizes = dict.fromkeys(_OF_PIECES, of_hand + hulls)
     sizes["number"] = hulls * blocks * 3 * int(BLOCK_POINTS)
+    own = [] if base.own_points is None else [wp.to_torch(base.own_points)]  # of the person
     made = over_trials(kernels.place_resting, b, scene.device, sizes=sizes, chunk=64)(
-        before=base.points.shape[0],
+        before=sum(map(len, own)),
         of_hand=of_hand,
         hulls=hulls,
         blocks=blocks,
@@ -54,7 +55,7 @@ def with_resting(
         p_hand_world=body_poses.p_hand_world,
     )
     tables = {name: made[name].flatten(0, 1) for name in _OF_PIECES}
-    tables["points"] = torch.cat([wp.to_torch(base.points), made["number"].view(-1, 3)])
+    tables["own_points"] = torch.cat([*own, made["number"].view(-1, 3)])
     tables |= {name: made[name] for name in ("hand_center", "hand_radius")}
     world: Any = struct_with(base, scene.sized(World), tables)
     world.n_pieces = of_hand + hulls

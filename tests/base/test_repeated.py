@@ -63,15 +63,17 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
         assert equal(scores, whole[some]), some
 
 
-def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses, monkeypatch):
+@pytest.mark.parametrize("seen", ["hand", "body"])
+def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses, seen, monkeypatch):
     trials = load_benchmark("r2h-v1").trials(N)[:N]
     assert trials.receiver is not None
     receiver = trials.receiver.clone()
     receiver[::2, :4, 0] -= 0.3  # every other arm and torso stands in the robot's way
     trials = replace(trials, receiver=receiver)
-    whole = default_evaluator().score(*poses[:2], trials, stages="pose")
-    assert (whole.body_m < 0).sum() > 20 and (whole.body_m == CLEARANCE_CAP_M).sum() > 20
     evaluator, ran = copy.copy(default_evaluator()), []
+    evaluator.config = replace(evaluator.config, receiver=seen)
+    whole = evaluator.score(*poses[:2], trials, stages="pose")
+    assert (whole.body_m < 0).sum() > 20 and (whole.body_m == CLEARANCE_CAP_M).sum() > 20
     judge = launching.fields_of
 
     def counted(work: Any, stages: Any, *inputs: Any) -> Any:

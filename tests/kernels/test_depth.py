@@ -32,7 +32,7 @@ def depths(
     b.size = size[i, 1]
     b.start = start[i, 1]
     b.count = count[i, 1]
-    depth_out[i] = core_depth(a, R[i], p[i], b, points)
+    depth_out[i] = core_depth(a, R[i], p[i], points, b, points)
 
 
 def test_the_depth_of_cores_is_from_below_and_within_two_per_cent() -> None:

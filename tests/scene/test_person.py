@@ -4,11 +4,13 @@ import itertools
 
 import numpy as np
 import pytest
+import torch
 import warp as wp
 from problems import default_evaluator, make_batch
 
 from r2h_batch import load_benchmark
 from r2h_batch.judge.attach import attach_object
+from r2h_batch.judge.distance import HandTables, hand_distance_at
 from r2h_batch.scene.person import PIECES, with_person
 
 N = 40
@@ -42,7 +44,7 @@ def test_pieces_are_where_the_person_is_and_lie_within_their_bounds(held, hand):
     pieces = own + len(PIECES)
     assert person.world.n_pieces == pieces and len(table["piece_start"]) == N * pieces
     assert vars(person.bodies)["tensors"]["hand"].tolist() == [*range(N)]
-    base = wp.to_torch(scene.world.points).numpy()
+    assert person.world.points.ptr == scene.world.points.ptr  # nothing of the scene's is copied
     for row in range(N):
         T = trials.T_world_hand[row].double().numpy()
         cores, grown = corners_of(trials.receiver[row].double().numpy(), T)
@@ -51,15 +53,27 @@ def test_pieces_are_where_the_person_is_and_lie_within_their_bounds(held, hand):
         for k in range(len(PIECES)):
             at = row * pieces + own + k
             assert table["piece_blocks"][at] == 1 and table["piece_round"][at] == np.float32(grown[k])
-            start = table["piece_start"][at]
-            found = table["points"][start : start + 16].reshape(3, 16).T
+            start = -1 - table["piece_start"][at]
+            found = table["own_points"][start : start + 16].reshape(3, 16).T
             assert np.array_equal(found[:8], found[8:]) and np.abs(found[:8] - cores[k]).max() < 3e-7
             far = np.linalg.norm(found - center[own + k], axis=1).max() + grown[k]
             assert far <= radius[own + k] <= far + 3e-6
             assert np.linalg.norm(center[own + k] - whole[0]) + radius[own + k] <= whole[1]
         if hand:  # the hand's own pieces as before
-            assert np.array_equal(table["points"][: len(base)], base)
             first = int(bodies.hand_index[row]) * own
             for name in ("piece_start", "piece_center", "piece_radius"):
                 of_scene = wp.to_torch(getattr(scene.world, name)).numpy()[first : first + own]
                 assert np.array_equal(table[name].reshape(N, pieces, -1)[row, :own], of_scene.reshape(own, -1))
+
+
+def test_the_distance_from_the_hand_takes_no_persons_pieces(held):
+    """Its kernels read points of the scene alone: a person's pieces would be read from wrong memory."""
+    scene, (bodies, trials) = default_evaluator().scene, held
+    person = with_person(scene, bodies, trials.receiver, hand=True)
+    q, active = torch.zeros(N, 6), torch.ones(N, dtype=torch.bool)
+    with pytest.raises(ValueError, match=r"give those that Scene\.body_poses made"):
+        hand_distance_at(scene, person, q, active)
+    with pytest.raises(ValueError, match=r"give those that Scene\.body_poses made"):
+        hand_distance_at(scene, bodies, q, active, hands=HandTables(person.world, scene.hand_mesh))
+    reached = hand_distance_at(scene, bodies, q, active, hands=HandTables(scene.world, scene.hand_mesh))
+    assert torch.isfinite(reached.distance_m).all()
