@@ -199,8 +199,7 @@ class Evaluator:
         if gradients and stages == "all":
             warn_of_no_gradient()
         if torch.compiler.is_compiling():
-            # the operator has the columns of the five criteria alone, and no bodies
-            if self.benchmark.asks or self.config.receiver == "body":
+            if keep_motion:  # its width is known once all have moved
                 return torch.compiler.disable(self.score)(
                     T_obj_ee, T_world_ee, trials, stages, keep_motion=keep_motion
                 )
@@ -390,7 +389,10 @@ class Evaluator:
         with self.working():
             check_indices(self.scene, trials)
             check_receiver(self.config, trials)
-            return self._score(T_obj_ee, T_world_ee, trials, stages)
+            scores = self._score(T_obj_ee, T_world_ee, trials, stages)
+            if stages == "pose":
+                return scores
+            return self._last(scores.with_inputs(ScoreInputs(T_obj_ee, T_world_ee, trials, self)))
 
     def capture(self, b: int, *, stages: Stages = "pose") -> Captured:
         """A call of this evaluator for b rows, ready to be repeated: fixed memory in and out, on
@@ -404,8 +406,9 @@ class Evaluator:
             ValueError: CUDA cannot capture this configuration; the message says what to change.
         """
         device = torch.device(self.scene.device)
-        check_capture(self.config, device, stages)
-        return Captured(partial(self._score_checked, stages=stages), device, b)
+        check_capture(self.benchmark, self.config, device, stages)
+        score = partial(self._score_checked, stages=stages)
+        return Captured(score, device, b, bodies=self.benchmark.has_bodies)
 
     def hint(
         self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials

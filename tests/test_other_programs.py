@@ -118,7 +118,7 @@ def test_a_copied_evaluator_gives_the_same_rows(batch, how):
     assert_same(second.kinematic.score(*arguments), first.kinematic.score(*arguments))
     # the operator of torch.compile finds each by itself
     t = few.trials
-    rows = t.trial_id, t.object_index, t.hand_index, t.T_world_hand
+    rows = t.trial_id, t.object_index, t.hand_index, t.T_world_hand, t.receiver
     assert second.handle != first.handle
     assert len(score_op(few.T_obj_ee, few.T_world_ee, *rows, second.handle, "pose"))
 

@@ -96,11 +96,12 @@ def test_the_pose_stage_never_waits_for_the_device_and_gives_the_rows_of_a_cpu(
     assert bits(there.to("cpu")) == bits(here)
 
 
+@pytest.mark.parametrize("receiver", ["hand", "body"])
 def test_a_captured_call_needs_nothing_of_the_host_and_writes_where_it_did_before(
-    gpu: tuple[Seen, Evaluator], trials: Trials, poses: Predictions
+    receiver: str, gpu: tuple[Seen, Evaluator], trials: Trials, poses: Predictions
 ) -> None:
     seen, evaluator = gpu
-    evaluator.config = KINEMATIC
+    evaluator.config = config = replace(KINEMATIC, receiver=receiver)
     seen.waits.clear()
     captured = evaluator.capture(8)
     assert seen.waits == []
@@ -111,9 +112,8 @@ def test_a_captured_call_needs_nothing_of_the_host_and_writes_where_it_did_befor
         there = captured(*(x[rows].to("cuda:0") for x in (poses.T_obj_ee, poses.T_world_ee, trials)))
         assert seen.waits == [] and seen.launches == []
         assert places == {f.name: getattr(there, f.name).data_ptr() for f in fields(Scores)}
-        alone = replace(trials[rows], receiver=None)  # a captured call knows no arm and torso
-        here = Evaluator(load_benchmark("r2h-v1"), KINEMATIC).score(
-            poses.T_obj_ee[rows], poses.T_world_ee[rows], alone, "pose"
+        here = Evaluator(load_benchmark("r2h-v1"), config).score(
+            poses.T_obj_ee[rows], poses.T_world_ee[rows], trials[rows], "pose"
         )
         copied = bits(there.to("cpu"))
         seen.waits.clear()

@@ -2,7 +2,7 @@
 without a word from the host."""
 
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import torch
 from torch import Tensor
@@ -11,18 +11,26 @@ from r2h_batch.base.validate import instance_of, integer
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.inputs import Stages, check_stages
+from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.types import Scores, Trials
 
 _WARM_UP = 3
 """Calls before a graph is captured: they load kernels and tables, and fill torch's caches."""
 
 
-def check_capture(config: EvalConfig, device: torch.device, stages: Stages) -> None:
-    """Raises ValueError for what CUDA cannot capture, since it waits for the host: planning, physics,
+def check_capture(
+    benchmark: Benchmark, config: EvalConfig, device: torch.device, stages: Stages
+) -> None:
+    """Raises ValueError for what CUDA cannot capture, since it waits for the host: Pick, planning, physics,
     numbers drawn there."""
     check_stages(stages)
     if device.type != "cuda":
         return
+    if benchmark.asks:
+        raise ValueError(
+            f"{benchmark.name} asks for Pick, which waits for the device and cannot be captured; call"
+            " score(..., stages='pose'), or capture on a CPU"
+        )
     for section in ("execution_error", "object_errors"):
         if getattr(config, section).any:
             raise ValueError(
@@ -55,16 +63,18 @@ class Captured:
     """
 
     def __init__(
-        self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int
-    ) -> None:
+        self, score: Callable[[Tensor, Tensor, Trials], Scores], device: torch.device, b: int, *,
+        bodies: bool,
+    ) -> None:  # fmt: skip
         """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for
-        the device."""
+        the device. `bodies`: the trials' receivers have arm and torso."""
         b = integer(1, what=" of rows")("b", b)
         self._score = score
         self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)
         self.T_world_ee = self.T_obj_ee.clone()
         zero = torch.zeros(b, dtype=torch.int32, device=device)
-        self.trials = Trials(zero.long(), zero, zero.clone(), self.T_obj_ee.clone())
+        body = torch.ones(b, 5, 4, dtype=torch.float32, device=device) if bodies else None
+        self.trials = Trials(zero.long(), zero, zero.clone(), self.T_obj_ee.clone(), body)
         self._graph: torch.cuda.CUDAGraph | None = None
         if device.type == "cuda":
             aside = torch.cuda.Stream(device)
@@ -77,8 +87,7 @@ class Captured:
             with torch.cuda.graph(self._graph):
                 self.scores = self._run()
         else:
-            first = self._run()
-            self.scores = Scores(**{f.name: getattr(first, f.name).clone() for f in fields(Scores)})
+            self.scores = replace(self._run()).clone()  # without the inputs of this call
 
     def __call__(
         self,
@@ -97,14 +106,14 @@ class Captured:
             if trials is not None:
                 instance_of(Trials)("trials", trials)
                 for f in fields(Trials):
-                    # arm and torso of the receiver decide nothing
+                    # who the receiver is decides nothing
                     if (kept := getattr(self.trials, f.name)) is not None:
                         _copy(f"trials.{f.name}", kept, getattr(trials, f.name))
             if self._graph is not None:
                 self._graph.replay()
             else:
                 new = self._run()
-                for f in fields(Scores):
+                for f in fields(new):
                     getattr(self.scores, f.name).copy_(getattr(new, f.name))
         return self.scores
 

@@ -144,6 +144,8 @@ def _to(x: torch.Tensor, args: Any, kwargs: dict[str, Any]) -> torch.Tensor:
         return x
     with torch._C.DisableTorchFunctionSubclass():
         moved = real(x).to(dtype or x.dtype, copy=True)
+        if cuda and goal and _graph is not None:  # another data type: a graph does it again
+            _graph.add(torch.ops.aten._to_copy.default, (real(x),), {"dtype": dtype}, moved)
     return OnCuda(moved) if goal else moved
 
 

@@ -106,7 +106,7 @@ def default_evaluator(name: str = "r2h-v0") -> Evaluator:
 
 def assert_same(a: Scores, b: Scores) -> None:
     """Bitwise equal, NaN equal to NaN; only t_plan_s is a measured time."""
-    for f in fields(Scores):
+    for f in fields(a):
         x, y = getattr(a, f.name), getattr(b, f.name)
         assert x.shape == y.shape and x.dtype == y.dtype and x.device == y.device, f.name
         if f.name != "t_plan_s":

@@ -7,8 +7,12 @@ import torch
 from problems import assert_same, default_evaluator, make_batch
 
 from r2h_batch import load_benchmark, reward
+from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import oracle, random
 from r2h_batch.training import torch_op
+from r2h_batch.training.capture import check_capture
 from r2h_batch.types import Outcome, Scores, Trials
 
 B = 24
@@ -22,7 +26,8 @@ def batch():
 @pytest.mark.parametrize("stages", ["pose", "all"])
 def test_the_operator_is_correct_and_its_shapes_are_what_it_returns(batch, stages):
     t = batch.trials
-    arguments = (batch.T_obj_ee, batch.T_world_ee, t.trial_id, t.object_index, t.hand_index, t.T_world_hand)
+    rows = (t.trial_id, t.object_index, t.hand_index, t.T_world_hand, t.receiver)
+    arguments = (batch.T_obj_ee, batch.T_world_ee, *rows)
     handle = default_evaluator().kinematic.handle
     checks = "test_schema", "test_faketensor", "test_autograd_registration"
     torch.library.opcheck(torch_op.score_op, (*arguments, handle, stages), test_utils=checks)
@@ -95,6 +100,66 @@ def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
         captured(batch.T_obj_ee[1:])
     with pytest.raises(ValueError, match="b is 0"):
         evaluator.capture(0)
+
+
+@pytest.fixture(scope="module", params=[DEFAULT_PROTOCOL, "r2h-v3-draft"])
+def before_people(request):
+    """Poses on benchmarks whose receivers have arm and torso; the draft also asks for Pick and Received."""
+    benchmark = load_benchmark(request.param)
+    evaluator, trials = Evaluator(benchmark), benchmark.trials(B)[:B]
+    poses = oracle.predict(trials, evaluator.scene)
+    some = torch.arange(B) % 3 == 0
+    other = random.predict(trials, evaluator.scene, seed=0)
+    T_obj_ee, T_world_ee = (
+        torch.where(some[:, None, None], getattr(other, k), getattr(poses, k)).contiguous()
+        for k in ("T_obj_ee", "T_world_ee")
+    )
+    return evaluator, T_obj_ee, T_world_ee, trials
+
+
+@pytest.mark.parametrize("stages", ["pose", "all"])
+def test_before_people_captured_compiled_and_plain_calls_are_equal_in_every_field(before_people, stages):
+    evaluator, *asked = before_people
+    plain = evaluator.score(*asked, stages)
+    assert evaluator.benchmark.receiver == "body" and (plain.body_m < CLEARANCE_CAP_M).any()
+    if "received" in plain.criteria and stages == "all":
+        assert plain.evaluated[:, plain.criteria.index("received")].any()
+    names = [f.name for f in fields(plain)]
+
+    def score(g: torch.Tensor, h: torch.Tensor, t: Trials) -> list[torch.Tensor]:
+        scores = evaluator.score(g, h, t, stages)
+        return [getattr(scores, name) for name in names]
+
+    compiled = torch.compile(score, backend="aot_eager", fullgraph=True)(*asked)
+    assert_same(type(plain)(**dict(zip(names, compiled, strict=True))), plain)
+    captured = evaluator.capture(B, stages=stages)
+    for order in (torch.arange(B).flip(0), torch.arange(B)):
+        repeated = captured(*(x[order] for x in asked))
+        assert_same(repeated, plain[order])
+        assert type(repeated) is type(plain) and repeated.inputs is None
+    with pytest.raises(TypeError, match=r"trials\.receiver is None; it must be a torch tensor \(24, 5, 4\)"):
+        captured(trials=replace(asked[2], receiver=None))
+
+
+def test_before_people_a_compiled_call_has_the_gradient_of_the_plain_one(before_people):
+    evaluator, g, h, trials = before_people
+
+    def quality(T_world_ee: torch.Tensor) -> torch.Tensor:
+        return evaluator.score(g, T_world_ee, trials, "pose").soft(temperature_m=0.01, log=True).sum()
+
+    found = []
+    for function in (quality, torch.compile(quality, backend="aot_eager", fullgraph=True)):
+        T_world_ee = h.clone().requires_grad_()
+        found += torch.autograd.grad(function(T_world_ee), T_world_ee)
+    assert found[0].flatten(1).any(1).sum() >= 5 and torch.equal(*found)
+
+
+def test_what_cuda_cannot_capture_is_refused_by_name():
+    benchmark, device = load_benchmark("r2h-v3-draft"), torch.device("cuda")
+    with pytest.raises(ValueError, match=r"r2h-v3-draft asks for Pick, .* call score\(\.\.\., stages='pose'\)"):
+        check_capture(benchmark, EvalConfig(), device, "pose")
+    check_capture(benchmark, EvalConfig(), torch.device("cpu"), "all")
+    check_capture(load_benchmark(), EvalConfig(), device, "pose")
 
 
 # --- CUDA ----------------------------------------------------------------------------------------------------------
