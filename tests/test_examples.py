@@ -95,3 +95,10 @@ def test_a_method_that_sees_grasps_the_cloud_and_hands_over_some_of_the_things(t
     )
     outcomes = load_run(tmp_path).trials("seen")["outcome"].to_pylist()
     assert outcomes.count("success") >= 4 and "invalid_input" not in outcomes
+
+
+def test_ppo_of_stable_baselines_learns_from_handovers(capsys):
+    ppo_sb3 = import_module("ppo_sb3")
+    found = ppo_sb3.main(["--steps", "1500", "--envs", "8", "--trials", "6"])
+    assert found["episodes"] >= 8 and -1.1 <= found["return"] <= 1
+    assert "success" in capsys.readouterr().out

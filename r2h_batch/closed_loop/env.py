@@ -84,7 +84,7 @@ MOST = 1e3
 MOST_SEED = (1 << 63) - 1
 
 NEXT_EPISODE = 1 << 40
-"""Added to a trial's number for the draws of its next episode."""
+"""Added to a trial's number for the draws of each further round through the handovers."""
 
 
 class End(IntEnum):
@@ -247,8 +247,14 @@ class HandoverEnv(VectorEnv):
     in this step.
 
     Without `autoreset`, rows that have ended stand still until `reset`, whose option `reset_mask` names rows (B,). With
-    it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`). A first episode
-    depends on the seed and the trial alone. The next one has the next handover of `scores`, noise and motion drawn anew.
+    it, they begin their next episode in the step after their last one (`AutoresetMode.NEXT_STEP`).
+
+    Which handover an episode plays depends on the row's seed, the row and the number of the row's episode, and on
+    nothing that other rows or policies do: row i plays place (seed mod N + i + k B) mod N of the N `scores` in its k-th
+    episode after a seed. Without `num_envs` row i stays with handover i. Noise and motion are drawn by the seed, the
+    trial and how often the seed has been through all N, so a trial plays the same in every row.
+
+    `infos["trial_id"]` names the handovers, and `reset(options={"trial_id": ...})` asks for some.
 
     The object is in the gripper on every benchmark.
     """
@@ -293,9 +299,11 @@ class HandoverEnv(VectorEnv):
                     f"a closed loop has no {section}; score with an Evaluator without it"
                 )
         optional(integer(1, n))("num_envs", num_envs)
+        self._stays = num_envs is None
         self.pool, self.config, self.action = scores, config or LoopConfig(), action
         self.output, self.autoreset = output, autoreset
         mode = AutoresetMode.NEXT_STEP if autoreset else AutoresetMode.DISABLED
+        self.autoreset_mode = mode  # TorchRL reads it here, Gymnasium in the metadata
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.privileged, self.scene = privileged, self.evaluator.scene
         self._sees_person = self.evaluator.config.receiver == "body"
@@ -332,6 +340,8 @@ class HandoverEnv(VectorEnv):
         self._every = torch.arange(self.num_envs, dtype=torch.int64, device=self._device)
         self._seen_seeds = np.full(self.num_envs, self.config.seed, object)
         self._moved_seeds = np.full(self.num_envs, self.motion.seed, object)
+        self._first_place = np.zeros(self.num_envs, np.int64)
+        self._episode, self._round = (np.zeros(self.num_envs, np.int64) for _ in range(2))
         self._hold(self._every)
         self._begun = False
 
@@ -386,11 +396,13 @@ class HandoverEnv(VectorEnv):
             seed: of noise and receivers, from now on: one number for all rows, or a number for
                 each. A row with a number of its own plays as it does where all rows have that number. A seed begins the
                 first episodes of all rows. None: the first call does, and a later one begins the next.
-            options: `reset_mask`, (B,) bool: the rows that begin anew; without it all.
+            options: `reset_mask`, (B,) bool: the rows that begin anew; without it all. `trial_id`: the trial that
+                they play, or a list of B (what stands at rows that do not begin is not read). It plays as in its
+                first episode with this seed; the row's next episode is the one that would have come anyway.
 
         Raises:
             TypeError, ValueError: the seed is no whole number from 0 and no list of B of them, or it comes with a
-                `reset_mask` that leaves rows out.
+                `reset_mask` that leaves rows out; no handover is of such a trial.
             ClosedEnvironmentError: `close` was called.
         """
         self.check_open("reset")
@@ -398,29 +410,52 @@ class HandoverEnv(VectorEnv):
             raise TypeError(
                 f"options are {describe_value(options)}; they must be a mapping or None"
             )
-        if odd := [name for name in options or () if name != "reset_mask"]:
+        options = options or {}
+        if odd := [name for name in options if name not in ("reset_mask", "trial_id")]:
             raise ValueError(
-                f"options of reset hold {describe_value(odd[0])}; 'reset_mask' alone is allowed"
+                f"options of reset hold {describe_value(odd[0])}; allowed are 'reset_mask' and 'trial_id'"
             )
-        mask = None if options is None else options.get("reset_mask")
+        mask = options.get("reset_mask")
         if mask is not None:
             mask = np.asarray(mask)
             if mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
                 found = f"{mask.dtype} {mask.shape}"
                 raise ValueError(f"reset_mask is {found}; it must be bool ({self.num_envs},)")
+        begins = np.ones(self.num_envs, np.bool_) if mask is None else mask
+        asked = self._places_of(options.get("trial_id"), begins)
         if seed is not None:
-            if mask is not None and not mask.all():
+            if not begins.all():
                 raise ValueError(
                     "seed comes with a reset_mask that leaves rows out; a seed begins all rows, so leave one of the two out"
                 )
             self._seed(seed)
         if seed is not None or not self._begun:
             with busy("the first episodes"):
-                return self._given(self.begin()), self._info(None)
-        if mask is None:
-            mask = np.ones(self.num_envs, np.bool_)
-        self._next(torch.from_numpy(mask).to(self._device))
+                return self._given(self.begin(asked)), self._info(None)
+        self._next(torch.from_numpy(begins).to(self._device), asked)
         return self._given(self._observe()), self._info(None)
+
+    def _places_of(self, trial_id: object, begins: np.ndarray) -> np.ndarray | None:
+        """Places in the pool of asked trials, (B,); -1 at rows that do not begin."""
+        if trial_id is None:
+            return None
+        numbers = list(trial_id) if _is_list(trial_id) else [trial_id] * self.num_envs
+        if len(numbers) != self.num_envs:
+            raise ValueError(
+                f"trial_id has {len(numbers)} entries; it must be one number, or {self.num_envs}, one for each row"
+            )
+        place = {int(t): i for i, t in reversed(list(enumerate(self.pool.trial_id.tolist())))}
+        found = np.full(self.num_envs, -1, np.int64)
+        for row in np.flatnonzero(begins):
+            number = integer(0, MOST_SEED)("trial_id", numbers[row])
+            if number not in place:
+                some = ", ".join(str(t) for t in sorted(place)[:8])
+                more = ", ..." if len(place) > 8 else ""
+                raise ValueError(
+                    f"trial_id is {number}; this environment has the {len(place)} trials {some}{more}"
+                )
+            found[row] = place[number]
+        return found
 
     def _seed(self, seed: object) -> None:
         """Takes the seeds of `reset`."""
@@ -437,15 +472,19 @@ class HandoverEnv(VectorEnv):
                 integer(0, MOST_SEED, what=" (or a list of such)")("seed", seed)
             ] * self.num_envs
         self._seen_seeds = self._moved_seeds = np.array(numbers, object)
+        if not self._stays:  # in Python's integers: a seed has up to 63 bits
+            self._first_place = np.array([n % len(self.pool) for n in numbers], np.int64)
         self._np_random = np.random.default_rng(numbers[0])
 
-    def begin(self) -> dict[str, Tensor]:
-        """The first episodes of all rows; observations as tensors, whatever `output` is."""
+    def begin(self, asked: np.ndarray | None = None) -> dict[str, Tensor]:
+        """The first episodes of all rows; observations as tensors, whatever `output` is.
+
+        Args:
+            asked: (B,) places of `pool` that the rows play; None: the seed's own.
+        """
         b, device = self.num_envs, self._device
-        if len(self.pool) > b:
-            self._hold(self._every)
-        self._played = torch.zeros(len(self.pool), dtype=torch.int64, device=device)
-        self._after = b
+        self._episode = np.zeros(b, np.int64)
+        self._choose(np.arange(b), asked)
         self._poses: list[Tensor] = []
         self._postures: list[Tensor] = []
         self.k_of = torch.zeros(b, dtype=torch.int64, device=device)
@@ -467,17 +506,30 @@ class HandoverEnv(VectorEnv):
         self._start(torch.ones(b, dtype=torch.bool, device=device))
         return self._observe()
 
-    def _next(self, mask: Tensor) -> None:
-        """Begins the next episodes of some rows, each with the next handover of the pool."""
-        rows, pool = torch.nonzero(mask).flatten(), len(self.pool)
-        self._played[self._row[rows]] += 1
-        if pool > self.num_envs:
-            place = torch.arange(len(rows), dtype=torch.int64, device=self._device)
-            self._after, chosen = self._after + len(rows), (self._after + place) % pool
-            row = self._row.clone()
-            row[rows] = chosen
-            self._hold(row)
+    def _next(self, mask: Tensor, asked: np.ndarray | None = None) -> None:
+        """Begins the next episodes of some rows, with the places of the pool that are asked or else their own."""
+        rows = np.flatnonzero(mask.cpu().numpy())
+        self._episode[rows] += 1
+        self._choose(rows, asked)
         self._start(mask)
+
+    def _choose(self, rows: np.ndarray, asked: np.ndarray | None) -> None:
+        """Takes the handovers of these rows' episodes: by seed, row and number of the episode alone."""
+        n, begun = len(self.pool), self._row.cpu().numpy().copy()
+        turn = rows + self._episode[rows] * self.num_envs
+        begun[rows] = (self._first_place[rows] + turn) % n if asked is None else asked[rows]
+        self._round[rows] = turn // n if asked is None else 0
+        if np.array_equal(begun, self._row.cpu().numpy()):
+            return
+        joints, own = self._joints, self._distance.own
+        self._hold(torch.from_numpy(begun).to(self._device))
+        others = np.setdiff1d(np.arange(self.num_envs), rows)
+        go_on = torch.from_numpy(others).to(
+            self._device
+        )  # perhaps with fingers that take an object
+        self._joints[go_on] = joints[go_on]
+        if own is not None and self._distance.own is not None:
+            self._distance.own.put(go_on, own.vertices[go_on])
 
     def _start(self, mask: Tensor) -> None:
         """Sets rows to the beginning of an episode."""
@@ -538,8 +590,8 @@ class HandoverEnv(VectorEnv):
     @property
     def _drawn(self) -> Trials:
         """The trials under the numbers that random draws go by."""
-        episode = self._played[self._row].to(self.trials.trial_id.device)
-        return replace(self.trials, trial_id=self.trials.trial_id + NEXT_EPISODE * episode)
+        again = torch.from_numpy(self._round).to(self.trials.trial_id.device)
+        return replace(self.trials, trial_id=self.trials.trial_id + NEXT_EPISODE * again)
 
     def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
         """One step of every episode that runs; the others stand, or begin anew with `autoreset`.
@@ -668,11 +720,17 @@ class HandoverEnv(VectorEnv):
             "end": _NAMES[ends],
             "why": WORDS[self._why.cpu().numpy()],
             "success": ends == int(End.SUCCESS),
+            "trial_id": self.scores.trial_id.cpu().numpy(),
             "least_m": self._least.cpu().numpy(),
             "margins": {name: margin[:, i] for i, name in enumerate(CRITERIA)},
         }
         if before is not None:
-            info["_end"] = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
+            ended = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
+            info["_end"] = ended
+            info["is_success"] = (
+                info["success"] & ended
+            )  # where LeRobot and Stable-Baselines3 read it
+            info["_is_success"] = ended
         return info
 
     def _outcome(self, running: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -1061,15 +1119,12 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: Any = None
     ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-        if options:
-            what = f"options are {describe_value(options)}"
-            raise ValueError(f"{what}; an environment of one handover has none, as it begins anew")
         if seed is not None:  # said as for many: Gymnasium has no limits
             integer(0, MOST_SEED)("seed", seed)
         super().reset(seed=seed)
-        observation, info = self.vector.reset(seed=seed)
+        observation, info = self.vector.reset(seed=seed, options=options)
         self._over = False
-        return _first(observation), _first(info)
+        return _seen(observation), _first(info)
 
     def step(
         self, action: np.ndarray
@@ -1087,7 +1142,7 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
         if self._over:
             raise ResetNeeded("the episode has ended; call reset before the next step")
         observation, reward, ended, late, info = self.vector.step(np.asarray(action)[None])
-        found = _first(observation), float(reward[0]), bool(ended[0]), bool(late[0])
+        found = _seen(observation), float(reward[0]), bool(ended[0]), bool(late[0])
         self._over = found[2] or found[3]
         return *found, _first(info)
 
@@ -1101,6 +1156,11 @@ class SingleHandoverEnv(gymnasium.Env[Any, Any]):
 
 def _is_list(value: object) -> TypeGuard[Sequence[object]]:
     return isinstance(value, (list, tuple, np.ndarray)) and np.ndim(value) == 1
+
+
+def _seen(observation: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The one row of an observation, numbers as arrays without dimensions: a `Box` holds nothing else."""
+    return {k: x[0, ...] for k, x in observation.items()}
 
 
 def _first(values: Mapping[str, Any]) -> dict[str, Any]:

@@ -78,6 +78,11 @@ class OwnHands:
         self.tables = HandTables(world, mesh)
         self.put(torch.arange(b, dtype=torch.int64, device=device), vertices)
 
+    @property
+    def vertices(self) -> Float32[Tensor, "b v 3"]:
+        """The hands as they are, in their frames, m."""
+        return self._arrays["vertices"]
+
     def put(self, rows: Int64[Tensor, " r"], vertices: Float32[Tensor, "r v 3"]) -> None:
         """Gives some trials other hands.
 
