@@ -92,3 +92,18 @@ def test_not_evaluated_never_counts_as_a_failure(scores):
         outcome=torch.zeros_like(scores.outcome),
     )
     assert (reward.margin_vector(blank) == 0.05).all()
+
+
+def test_all_of_it_takes_scores_by_trial(scores):
+    rows = scores[: len(scores) // K * K]
+    by_trial = rows.by_trial(K)
+    for of in (reward.success, reward.labels, reward.margin_vector, reward.first_failure, reward.quality):
+        flat = of(rows)
+        assert torch.equal(of(by_trial).nan_to_num(nan=7.0), flat.unflatten(0, (-1, K)).nan_to_num(nan=7.0)), of.__name__
+    soft = by_trial.soft(temperature_m=0.01)
+    assert torch.equal(soft, rows.soft(temperature_m=0.01).view(-1, K)) and soft.shape == (len(rows) // K, K)
+    value = reward.quality(rows)
+    for of in (reward.rank_of_k, reward.best_of_k):
+        assert torch.equal(of(value.view(-1, K), K), of(value, K))
+        with pytest.raises(ValueError, match=f"k is {K + 1}, and value is "):
+            of(value.view(-1, K), K + 1)
