@@ -605,7 +605,8 @@ class HandoverEnv(VectorEnv):
             ClosedEnvironmentError: `close` was called.
         """
         before = self.ends.clone() if self._begun else None
-        observation, *outcome = self.advance(actions)
+        self.check_open("step")
+        observation, *outcome = self.advance(self.checked_actions(actions))
         assert before is not None
         reward, over, late = map(self._given, outcome)
         return self._given(observation), reward, over, late, self._info(before)
@@ -622,15 +623,15 @@ class HandoverEnv(VectorEnv):
         if self.closed:
             raise ClosedEnvironmentError(f"{call} was called after close; make a new environment")
 
-    def advance(self, actions: Any) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
-        """As `step`, without `info` and with tensors, whatever `output` is.
+    def checked_actions(self, actions: Any) -> Tensor:
+        """A policy's answer as a tensor (B, ...) on the env's device.
 
         Args:
-            actions: (B, ...) of `single_action_space`, finite float32 or float64 on the env's device.
+            actions: (B, ...) of `single_action_space`, finite numbers: an array, a tensor or nested lists.
+
+        Raises:
+            TypeError, ValueError: they are something else; the message names it.
         """
-        self.check_open("step")
-        if not self._begun:
-            raise ResetNeeded("HandoverEnv.step was called before reset; call reset first")
         shape = (self.num_envs, *(self.single_action_space.shape or ()))
         words = f"a tensor {shape} of finite torch.float32 or torch.float64"
         given = as_numbers("actions", actions, words, self._device)
@@ -639,9 +640,19 @@ class HandoverEnv(VectorEnv):
         if not bool(given.isfinite().all()):
             row = int(torch.nonzero(~given.isfinite())[0, 0])
             raise ValueError(f"actions of row {row} are not finite; they must be {words}")
-        given = given.detach().to(self._device)
+        return given.detach().to(self._device)
+
+    def advance(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
+        """As `step`, without `info` and with tensors, whatever `output` is.
+
+        Args:
+            actions: what `checked_actions` returned.
+        """
+        self.check_open("step")
+        if not self._begun:
+            raise ResetNeeded("HandoverEnv.step was called before reset; call reset first")
         with self.evaluator.working():
-            return self._step(given)
+            return self._step(actions)
 
     def _step(self, actions: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor, Tensor]:
         running = self.ends == int(End.RUNNING)

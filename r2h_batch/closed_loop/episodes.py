@@ -1,13 +1,14 @@
 """Episodes of a batch of handovers: a policy, receivers that move, and how they end."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import torch
 
-from r2h_batch.base.errors import UsageError
-from r2h_batch.base.user_code import chosen
+from r2h_batch.base.errors import AnswerError, UsageError
+from r2h_batch.base.user_code import chosen, raised
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
@@ -55,18 +56,36 @@ def check_in_gripper(benchmark: Benchmark) -> None:
         )
 
 
-def play(env: HandoverEnv, policy: Callable[..., Any]) -> Episodes:
+def play(env: HandoverEnv, policy: Callable[..., Any], name: str = "policy") -> Episodes:
     """Runs all episodes to their ends.
 
     Args:
         env: whose action is what the policy says (`kind_of_action`).
         policy: a function of an observation, or a class that is made with the environment first.
+        name: of the policy, for messages.
+
+    Raises:
+        AnswerError: the policy raised an error, or its answer is no action.
     """
     observation = env.begin()
-    act = policy(env) if isinstance(policy, type) else policy
+    act = policy
+    if isinstance(policy, type):
+        with _answering(name):
+            act = policy(env)
     while bool((env.ends == int(End.RUNNING)).any()):
-        observation, *_ = env.advance(act(observation))
+        with _answering(name):
+            actions = env.checked_actions(act(observation))
+        observation, *_ = env.advance(actions)
     return env.episodes()
+
+
+@contextmanager
+def _answering(name: str) -> Iterator[None]:
+    """One line about whatever a policy's code raises."""
+    try:
+        yield
+    except Exception as error:
+        raise AnswerError(f"policy {name}: {raised(error)}") from error
 
 
 @dataclass(frozen=True)
@@ -130,7 +149,7 @@ class Loop:
                 config=self.config,
                 action=kind_of_action(policy),  # type: ignore[arg-type]
             )
-            parts.append(play(env, policy))
+            parts.append(play(env, policy, self.policy))
         return Episodes(
             **{
                 f.name: torch.cat([getattr(p, f.name) for p in parts]).cpu()

@@ -135,7 +135,9 @@ def _best_first(value: Tensor, k: int) -> Tensor:
             f"k is {k}; {value.shape[0]} rows can only be split by a divisor of their number"
         )
     if value.ndim == 2 and value.shape[1] != k:
-        raise ValueError(f"k is {k}, and value is {tuple(value.shape)}: {value.shape[1]} for each trial")
+        raise ValueError(
+            f"k is {k}, and value is {tuple(value.shape)}: {value.shape[1]} for each trial"
+        )
     value = value.reshape(-1)
     table = torch.where(value.isnan(), -torch.inf, value).view(value.shape[0] // k, k)
     # NaN behind -inf: sorted by both, the second one stably

@@ -22,6 +22,20 @@ def test_trials_that_begin_on_the_table_are_refused_before_one_is_judged(tmp_pat
     assert not (tmp_path / "run" / "run.json").exists()
 
 
+def test_a_policy_that_raises_or_answers_no_actions_ends_in_one_line(tmp_path, capsys):
+    (tmp_path / "mine.py").write_text(
+        "import torch\n\n"
+        "def falls(seen):\n    return seen['no such']\n\n"
+        "def short(seen):\n    return seen['q'][:, :5]\n\n"
+        "class Unmade:\n    def __init__(self, env):\n        raise OSError('no weights')\n"
+    )
+    for name, word in (("falls", "KeyError"), ("short", "actions are (1, 5)"), ("Unmade", "no weights")):
+        policy = f"{tmp_path / 'mine.py'}:{name}"
+        assert sweep(tmp_path / name, "--splits", "S0", "--receiver-motion", "moves", "--policy", policy) == 2
+        said = [x for x in capsys.readouterr().err.splitlines() if "policy" in x]
+        assert len(said) == 1 and word in said[0] and f"mine.py:{name}" in said[0]
+
+
 def test_a_sweep_plays_the_loop_beside_its_verdicts_and_a_users_policy_is_one(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("r2h_batch.closed_loop.env.LoopConfig", partial(LoopConfig, horizon_s=2.0))
     (tmp_path / "mine.py").write_text("import torch\n\ndef wait(seen):\n    return torch.zeros_like(seen['q'])\n")

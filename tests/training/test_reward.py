@@ -99,7 +99,9 @@ def test_all_of_it_takes_scores_by_trial(scores):
     by_trial = rows.by_trial(K)
     for of in (reward.success, reward.labels, reward.margin_vector, reward.first_failure, reward.quality):
         flat = of(rows)
-        assert torch.equal(of(by_trial).nan_to_num(nan=7.0), flat.unflatten(0, (-1, K)).nan_to_num(nan=7.0)), of.__name__
+        assert torch.equal(of(by_trial).nan_to_num(nan=7.0), flat.unflatten(0, (-1, K)).nan_to_num(nan=7.0)), (
+            of.__name__
+        )
     soft = by_trial.soft(temperature_m=0.01)
     assert torch.equal(soft, rows.soft(temperature_m=0.01).view(-1, K)) and soft.shape == (len(rows) // K, K)
     value = reward.quality(rows)
