@@ -12,6 +12,7 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.training import stream
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+pytestmark = pytest.mark.whole(part="examples")
 
 
 @pytest.fixture(autouse=True)
