@@ -5,7 +5,8 @@ import os
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-from r2h_batch.base.imported import when_imported
+from r2h_batch.base.imported import if_it_fails, when_imported
+from r2h_batch.base.opengl import CONTEXT, unbind
 from r2h_batch.base.package import FOLDERS, VERSION, lazy_names
 
 if TYPE_CHECKING:
@@ -33,6 +34,10 @@ def _register() -> None:
 
 
 when_imported("gymnasium", _register)  # a second to import, so who did not is not made to wait
+
+# MuJoCo binds OpenGL when it is imported; without the library, or with a misspelt MUJOCO_GL, it would
+# not be imported at all. What draws nothing needs none of it, and `scene.offscreen` looks for one that works.
+if_it_fails(CONTEXT, unbind)
 
 __version__ = VERSION
 

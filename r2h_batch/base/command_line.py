@@ -114,6 +114,8 @@ def _check_text(path: str, how: str) -> None:
     try:
         path.encode()
     except UnicodeEncodeError:
+        if (encoding := sys.getfilesystemencoding()).lower() != "utf-8":
+            how = f"Python reads names as {encoding} here (LC_ALL, LANG): set PYTHONUTF8=1"
         raise UsageError(f"{printable(path)}: has a byte that is not UTF-8; {how}") from None
 
 

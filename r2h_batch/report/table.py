@@ -82,6 +82,11 @@ FEW_NOTE = (
 )
 
 
+INVALID_NOTE = (
+    "invalid: trials that could not be judged, most often since a matrix is no pose; they count as failures. r2h-batch why RUN"
+    " TRIAL says which matrix, and what would make it right."
+)
+
 ASKED_FOR = (PICK,)
 """Shares without a column in tables that have none: of methods that are told the truth."""
 
@@ -551,12 +556,14 @@ def brief(report: Report) -> str:
         *(SPLIT, method_column(short), number_column(report, "sr")),
         *(Column("sr", "95 %", INTERVAL), Column("sr_few", f"{report.few} new", INTERVAL)),
         *(number_column(report, c) for c in rates),
+        *([Column("invalid")] if (none := sum(map(invalid, report.rows))) else []),
     ]
     origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in report.origin.items())
     notes = [
         _first_failure(report.failures),
         f"95 %: the interval of SR for more trials with these objects. {report.few} new: where the mean of {report.few}"
         f" {report.new} lies that you bring, with 95 %.",
+        *([INVALID_NOTE] if none else []),
         *map(plain, legend(short)),
         *report.misses,
         *map(plain, report.trained),

@@ -16,9 +16,27 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.base.errors import MachineError
+from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.read import printable
+from r2h_batch.base.opengl import CONTEXT, unbind
 
 MOST_GEOMS = 10_000
 BACKENDS = ("egl", "osmesa", "glfw")
+UNSAID = (
+    "",
+    "enable",
+    "enabled",
+    "on",
+    "true",
+    "1",
+    "glx",
+    "disable",
+    "disabled",
+    "off",
+    "false",
+    "0",
+)
+"""Values of MUJOCO_GL that name no backend of these: MuJoCo chooses, or is told not to draw."""
 INSTALL = "no OpenGL draws here; install one: Debian, Ubuntu: apt-get install libosmesa6 libegl1; conda: mesalib"
 _TRY = (
     "import mujoco\n"
@@ -58,26 +76,35 @@ def _works(backend: str) -> bool:
 def ready() -> str:
     """The name of a backend that draws here, ready to be used; raises `RenderError`.
 
-    MUJOCO_GL comes first where it is set, then the others.
+    MUJOCO_GL comes first where it is set, then the others; which one is used in its place is said.
     """
     wanted = os.environ.get("MUJOCO_GL", "").lower().strip()
     order = BACKENDS if _has_gpu() else ("osmesa", "egl", "glfw")
     for backend in dict.fromkeys([*([wanted] if wanted in BACKENDS else []), *order]):
         if _works(backend):
+            if wanted not in (backend, *UNSAID):
+                LOG.info(f"MUJOCO_GL={printable(wanted)} {_why(wanted)}; set MUJOCO_GL={backend}")
             _use(backend)
             return backend
-    raise RenderError(INSTALL)
+    said = f"MUJOCO_GL={printable(wanted)} {_why(wanted)}, and " if wanted not in UNSAID else ""
+    raise RenderError(f"{said}{INSTALL}")
+
+
+def _why(wanted: str) -> str:
+    known = f"is none of {', '.join(BACKENDS)}"
+    return "does not draw here" if wanted in BACKENDS else known
 
 
 def _use(backend: str) -> None:
     """MuJoCo draws with this backend, whether it was imported before or will be."""
     os.environ["MUJOCO_GL"] = backend
-    imported: Any = sys.modules.get("mujoco.rendering.classic.gl_context")
-    if imported is None:
-        return
-    if "OpenGL" not in sys.modules:  # it is bound to one library once
+    bound = os.environ.get("PYOPENGL_PLATFORM", "").lower()
+    if bound not in ("", backend):  # to one that does not draw
+        unbind()
         os.environ.pop("PYOPENGL_PLATFORM", None)
-    imported.GLContext = import_module(f"mujoco.{backend}").GLContext
+    imported: Any = sys.modules.get(CONTEXT)
+    if imported is not None:
+        imported.GLContext = import_module(f"mujoco.{backend}").GLContext
 
 
 class Drawer:

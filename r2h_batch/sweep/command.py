@@ -5,6 +5,7 @@ import logging
 import os
 import signal
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout
@@ -55,8 +56,11 @@ def _main(arguments: Sequence[str], prog: str) -> int:
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
     """Whether Ctrl-C or SIGTERM was heard: the first one asks to stop after the current chunk, the
-    second stops."""
-    heard = []
+    second stops. Signals are the main thread's: in another one whoever has it hears them."""
+    heard: list[int] = []
+    if threading.current_thread() is not threading.main_thread():
+        yield lambda: False
+        return
 
     def hear(number: int, _: object) -> None:
         heard.append(number)

@@ -78,6 +78,9 @@ _BENCHMARK_HELP = "; ".join(
 _PRESET_HELP = "; ".join(f"{p.name}: {p.help}" for p in PRESETS)
 
 
+ABOUT = "Score handover methods on the benchmark's trials and print Table I."
+
+
 @dataclass(frozen=True)
 class Flags:
     """Score handover methods on the benchmark's trials and print Table I."""
@@ -312,7 +315,7 @@ def help_text(prog: str) -> str:
     lines = [
         _usage(prog),
         "",
-        str(Flags.__doc__),
+        ABOUT,
         "",
         *_described(FIRST),
         "",
@@ -326,7 +329,7 @@ def full_help(prog: str) -> str:
     """Every flag in its group, with its meaning."""
     from r2h_batch.sweep.settings import described
 
-    lines = [_usage(prog), "", str(Flags.__doc__), "", "first:", *_described(FIRST)]
+    lines = [_usage(prog), "", ABOUT, "", "first:", *_described(FIRST)]
     for group, words in GROUPS.items():
         names = [name for name, (_, flag) in _flags().items() if flag.group == group]
         lines += ["", f"{group} ({words}):", *_described(names)]
@@ -524,7 +527,7 @@ def line_class() -> type:
     from r2h_batch.sweep.settings import line_fields
 
     made: type = make_dataclass("Line", line_fields(), bases=(Flags,), frozen=True)
-    made.__doc__ = Flags.__doc__
+    made.__doc__ = ABOUT  # python -OO takes docstrings
     return made
 
 

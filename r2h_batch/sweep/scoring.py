@@ -34,6 +34,7 @@ from r2h_batch.runs.rows import (
 )
 from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
 from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
+from r2h_batch.trials.predictions import doubts
 from r2h_batch.types import Outcome, Predictions, Trials
 
 if TYPE_CHECKING:
@@ -249,6 +250,9 @@ def _score_chunk(
             judge = _functions_of(evaluator)
             answers = job.predict(part, own).to(part.trial_id.device)
             _check_judge(job.name, evaluator, judge)
+            if look and rows is None:  # of files it was said when they were read
+                for words in doubts(answers.to("cpu")):
+                    LOG.info(f"{job.name}: {words}")
             motions = None
             if chosen is moved and job.motions is not None and own is not None:
                 motions = job.motions.padded(own, evaluator.scene.device)

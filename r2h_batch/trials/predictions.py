@@ -406,11 +406,14 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
         T, n = getattr(given, name).numpy(), len(given)
         if not n:
             continue
-        pieces = [_odd(T[k : k + _PIECE]) for k in range(0, n, _PIECE)]
-        off, transposed, far = (np.concatenate([p[i] for p in pieces]) for i in range(3))
-        hint = ": transposed?" if (off & transposed).any() else ""
+        fault = np.concatenate([faults(T[k : k + _PIECE]) for k in range(0, n, _PIECE)])
+        far = (fault == 0) & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)
+        kinds = [(k, int((fault == k).sum())) for k in range(1, len(FAULTS)) if (fault == k).any()]
+        of_each = "; ".join(
+            f"{count if len(kinds) > 1 else 'all'} {FAULTS[k]}" for k, count in kinds
+        )
         for odd, words in (
-            (off, f"are not rigid poses and count as invalid{hint}"),
+            (fault > 0, f"are not rigid poses and count as invalid: {of_each}"),
             (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
         ):
             if odd.any():
@@ -429,12 +432,54 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
     return lines
 
 
-def _odd(T: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Masks (n,) of invalid poses (n, 4, 4): not rigid; with the translation in the last row; rigid
-    and far away."""
+FAULTS = (
+    "",
+    "hold NaN or infinity",
+    "are transposed: pass T.transpose(-1, -2)",
+    "have a last row that is not 0, 0, 0, 1",
+    "are all zeros in the rotation",
+    "mirror (determinant below 0): swap the sign of one axis",
+    "scale: divide the rotation by the length of its columns",
+    "have columns that are not of length 1 and at right angles: orthonormalise them",
+)
+"""What can be wrong with a pose, by its number in `faults`, and what would make it right."""
+
+
+def faults(T: np.ndarray) -> np.ndarray:
+    """(n,) what is wrong with each of the poses (n, 4, 4), as a number of `FAULTS`; 0: it is rigid.
+
+    Args:
+        T: the poses, m.
+    """
     off = not_rigid(T, LOOKS_RIGID)
-    transposed = (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
-    return off, transposed, ~off & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)
+    found = np.zeros(len(T), np.int8)
+    if not off.any():
+        return found
+    with np.errstate(all="ignore"):
+        bad = T[off].astype(np.float64)
+        R = bad[:, :3, :3]
+        length = np.linalg.norm(R, axis=1)
+        alike = np.abs(length - length[:, :1]).max(1) < LOOKS_RIGID * length[:, 0]
+        unit = R / length[:, :1, None]
+        square = np.abs(unit @ unit.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) < LOOKS_RIGID
+        found[off] = np.select(
+            [
+                ~np.isfinite(bad).all((1, 2)),
+                ~not_rigid(bad.transpose(0, 2, 1), LOOKS_RIGID) | _moved_down(bad),
+                np.abs(bad[:, 3] - [0, 0, 0, 1]).max(1) >= LOOKS_RIGID,
+                (length < LOOKS_RIGID).all(1),
+                square & (np.linalg.det(R) < 0),
+                square & alike,
+            ],
+            [1, 2, 3, 4, 5, 6],
+            7,
+        )
+    return found
+
+
+def _moved_down(T: np.ndarray) -> np.ndarray:
+    """(n,) whether the translation stands in the last row, and the rotation is none either way."""
+    return (T[:, :3, 3] == 0).all(1) & (T[:, 3, :3] != 0).any(1)
 
 
 def _refuse(source: str, what: str, ids: np.ndarray, how: str) -> None:

@@ -1,5 +1,6 @@
 """The command `why`: one trial in words."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,8 @@ def explanation(reader: "Reader", trial: int, method: str) -> "Explanation":
     from r2h_batch.view.captions import pair_of, postures
 
     own = reader.run.explain(trial, method)
+    if own.why == "invalid input":
+        return replace(own, witness=_no_pose(reader, trial, method), picture="")
     if own.criterion != "plan":
         return own
     from r2h_batch.view.drawing import Drawing
@@ -65,3 +68,21 @@ def explanation(reader: "Reader", trial: int, method: str) -> "Explanation":
         pair=pair_of(stored),
         witness=found.caption + counts,
     )
+
+
+def _no_pose(reader: "Reader", trial: int, method: str) -> str:
+    """Which of the stored matrices is no pose, and what would make it right; empty where none is stored."""
+    import numpy as np
+
+    from r2h_batch.trials.predictions import FAULTS, faults
+    from r2h_batch.view.stored import POSES, _rows
+
+    if "poses" not in reader.run.header["stored"]:
+        return ""
+    found = []
+    for row in _rows(reader.run.poses(method), trial):
+        for name in POSES:
+            T = np.array(row[name], np.float32).reshape(1, 4, 4)
+            if kind := int(faults(T)[0]):
+                found.append(f"{name} is no pose: matrices like it {FAULTS[kind]}")
+    return "; ".join(found)

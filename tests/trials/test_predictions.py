@@ -7,7 +7,7 @@ from made_runs import made_trials, make_predictions
 from prediction_files import arrays, refused, store
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.trials.predictions import align, doubts, load_predictions, write_predictions
+from r2h_batch.trials.predictions import align, doubts, faults, load_predictions, write_predictions
 from r2h_batch.types import Predictions
 
 
@@ -96,7 +96,8 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
     T_bad[1:, :3, 3], T_bad[1:, 3, :3] = 0.0, T[1:, :3, 3]
     far[2:, :3, 3] *= 1000
     assert doubts(Predictions(ids, T_bad, far)) == [
-        "4 of 5 grasps (T_obj_ee; the first of trial 3) are not rigid poses and count as invalid: transposed?",
+        "4 of 5 grasps (T_obj_ee; the first of trial 3) are not rigid poses and count as invalid: all are transposed: pass"
+        " T.transpose(-1, -2)",
         "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres",
     ]
     far[0, 0, 0] = torch.nan
@@ -104,3 +105,18 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
         "1 of 5 handover poses (T_world_ee; the first of trial 7) are not rigid poses"
         in doubts(Predictions(ids, T, far))[0]
     )
+
+
+def test_what_is_wrong_with_a_pose_is_told_of_each_kind():
+    T = torch.eye(4).repeat(8, 1, 1)
+    T[:, :3, 3] = torch.tensor([0.1, 0.1, 0.1])
+    T[1, 0, 0] = torch.nan
+    T[2] = T[2].T.clone()
+    T[3, 3, 3] = 0.5
+    T[4, :3, :3] = 0.0
+    T[5, 0, 0] = -1.0
+    T[6, :3, :3] *= 1000.0
+    T[7, 0, 1] = 0.3
+    assert faults(T.numpy()).tolist() == list(range(8))
+    (line,) = doubts(Predictions(torch.arange(8), T, torch.eye(4).repeat(8, 1, 1)))
+    assert line.startswith("7 of 8 grasps (T_obj_ee; the first of trial 1)") and line.count(";") == 7
