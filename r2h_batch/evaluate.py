@@ -413,7 +413,7 @@ class Evaluator:
     def hint(
         self, scores: Scores, T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials
     ) -> str | None:
-        """One line where all rows fail and some succeed in another convention (`judge.conventions`); else None.
+        """One line where many rows fail and far more succeed in another convention (`judge.conventions`); else None.
 
         Args:
             scores: verdicts of the B rows.
@@ -462,7 +462,8 @@ class Evaluator:
             twin.moved = True
             return twin.score_motion(T_obj_ee[rows], q, time_s, trials[rows], length=few)
 
-        return motion_hint(scores, torch.as_tensor(q), torch.as_tensor(time_s), judge)
+        given = torch.as_tensor(q), torch.as_tensor(time_s)
+        return motion_hint(scores, *given, judge, self.scene.robot)
 
     def __repr__(self) -> str:
         engine = self.config.execute.engine(torch.device(self.scene.device).type)

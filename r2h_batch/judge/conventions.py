@@ -1,5 +1,5 @@
-"""A hint where all rows of a batch fail: eight rows are judged again in other conventions of frames and units,
-and the line says in which one some of them succeed. No verdict depends on it."""
+"""A hint where many rows of a batch fail: a sample is judged again in other conventions of frames, units and order,
+and the line says in which one far more of them succeed. No verdict depends on it."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,15 +11,23 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Outcome, Scores, Trials
 
 ROWS = 8
-"""Rows that are judged again: fewer say nothing."""
+"""Fewer rows say nothing. So many motions are judged again."""
+
+SAMPLE = 64
+"""Poses that are judged again at most, spread over the batch: the first ones may all be of one object."""
 
 LEAST = 3
-"""Least number of these rows that must succeed in another convention: one or two do by chance. To pass more criteria is
-no evidence, since poses that lie nowhere near the hand pass Safe. [choice]"""
+"""Least number of the rows, and a quarter of the sample, by which more must succeed in another convention: one or two do
+by chance. To pass more criteria is no evidence, since poses that lie nowhere near the hand pass Safe. [choice]"""
+
+TIMES = 3
+"""A convention is named where it takes so many times the rows as they are given, or leaves one in so many of those that
+fail: by symmetry some succeed in the wrong one, up to half where the object's pose stands for the gripper's. [choice]"""
 
 AT_HAND_M = 0.06
 """A TCP that is nearer to the palm point or to the origin of the hand's frame lies in the hand; estimated hands are off by
@@ -30,6 +38,14 @@ TURNED_RAD = 4 * math.pi
 
 SLOW_S = 300.0
 """A median motion of this length is looked at: none of the built-in methods' takes a minute. [choice]"""
+
+USUAL_S = (0.5, 60.0)
+"""How long motions last: a unit of time is named where it gives this."""
+
+UNITS_OF_TIME = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
+
+AT_HOME_RAD = 0.02
+"""Motions whose angles, in another order, are this near to home begin there. [choice]"""
 
 Poses = tuple[Float[Tensor, "b 4 4"], Float[Tensor, "b 4 4"]]
 
@@ -52,7 +68,7 @@ def other_poses(
         return se3.matmul(T, change.to(T).expand_as(T))
 
     from_flange = (times(T_obj_ee, T_flange_ee), times(T_world_ee, T_flange_ee))
-    found = {
+    found: dict[str, Poses] = {
         "T_obj_ee inverted: it is the ee in the object's frame": (inverse_grasp, T_world_ee),
         "T_world_ee inverted: it is the ee in the world frame": (T_obj_ee, inverse_handover),
         "both poses inverted: T_a_b is b in the frame of a": (inverse_grasp, inverse_handover),
@@ -67,6 +83,12 @@ def other_poses(
         f"T_world_ee {FLANGE}": (T_obj_ee, from_flange[1]),
         f"T_obj_ee {FLANGE}": (from_flange[0], T_world_ee),
         f"both poses {FLANGE}": from_flange,
+        "T_obj_ee and T_world_ee exchanged": (T_world_ee, T_obj_ee),
+        f"the rotations of both poses transposed: {COLUMNS}": tuple(
+            map(_transposed, (T_obj_ee, T_world_ee))
+        ),
+        f"the rotation of T_obj_ee transposed: {COLUMNS}": (_transposed(T_obj_ee), T_world_ee),
+        f"the rotation of T_world_ee transposed: {COLUMNS}": (T_obj_ee, _transposed(T_world_ee)),
         "quaternions read as x, y, z, w instead of w, x, y, z": (xyzw[0], xyzw[1]),
         "quaternions read as w, x, y, z instead of x, y, z, w": (wxyz[0], wxyz[1]),
     }
@@ -92,6 +114,39 @@ def other_poses(
     return found
 
 
+def _transposed(T: Tensor) -> Tensor:
+    """The poses with transposed rotations, where they are."""
+    return se3.from_rotation(T[:, :3, :3].transpose(1, 2), T[:, :3, 3])
+
+
+def other_rows(trial_id: Tensor) -> dict[str, Tensor]:
+    """Which row's answer each row takes, (B,), where answers stand in another order: its words -> rows. Nothing where a
+    trial has several rows.
+
+    Args:
+        trial_id: (B,) of the trials in the order in which they were given.
+    """
+    n, ids = len(trial_id), trial_id.cpu()
+    order = torch.argsort(ids)
+    if n < ROWS or (ids[order][1:] == ids[order][:-1]).any():
+        return {}
+    place = torch.arange(n, dtype=torch.int64, device="cpu")
+    found = {
+        "each answer given for the trial after its own": (place + 1).clamp(max=n - 1),
+        "each answer given for the trial before its own": (place - 1).clamp(min=0),
+    }
+    if not torch.equal(order, place):
+        rank = torch.argsort(order)
+        found["answers in the order of trial_id: they are in the order of the trials"] = rank
+        at = torch.searchsorted(ids[order], place).clamp(max=n - 1)
+        known = ids[order][at] == place  # trial ids that count the rows: 0, 1, 2, ...
+        if known.sum() >= ROWS:
+            found["trial_id counted through: it is trials.trial_id"] = torch.where(
+                known, order[at], place
+            )
+    return {words: rows.to(trial_id.device) for words, rows in found.items()}
+
+
 def _turn(axis: str, degrees: float) -> Tensor:
     """(4, 4) a turn about an axis."""
     from scipy.spatial.transform import Rotation  # 0.4 s, where a hint is looked for
@@ -102,6 +157,7 @@ def _turn(axis: str, degrees: float) -> Tensor:
     return T
 
 
+COLUMNS = "its columns are the ee's axes"
 AXES = "z points out of the gripper, and y is the axis along which it closes"
 FLANGE = "times T_flange_ee: the ee is the TCP between the fingertips, not the flange"
 ORDERS = ((3, 0, 1, 2), (1, 2, 3, 0))
@@ -150,7 +206,7 @@ def pose_hint(
     """
     if (words := _in_the_hand(scores, T_world_ee, trials, scene)) is not None:
         return words
-    rows = _eight(scores)
+    rows = _sample(scores)
     if rows is None:
         return None
     given = (T_obj_ee[rows], T_world_ee[rows])
@@ -160,10 +216,12 @@ def pose_hint(
         there = se3.inverse(resting(trials[rows]).to(given[0]))
         words = "T_obj_ee taken from the world into the object's frame: inverse(T_world_obj) times the grasp on the table"
         others[words] = (se3.matmul(there, given[0]), given[1])
+    for words, taken in other_rows(trials.trial_id).items():
+        others[words] = (T_obj_ee[taken[rows]], T_world_ee[taken[rows]])
     grasps, handovers = zip(given, *others.values(), strict=True)
-    times = torch.arange(ROWS, dtype=torch.int64, device=rows.device).repeat(1 + len(others))
+    times = torch.arange(len(rows), dtype=torch.int64, device=rows.device).repeat(1 + len(others))
     found = judge(torch.cat(grasps), torch.cat(handovers), trials[rows][times])
-    return _best(scores, found, tuple(others))
+    return _best(scores, found, tuple(others), len(rows))
 
 
 def _in_the_hand(scores: Scores, T_world_ee: Tensor, trials: Trials, scene: Scene) -> str | None:
@@ -188,16 +246,24 @@ def _in_the_hand(scores: Scores, T_world_ee: Tensor, trials: Trials, scene: Scen
 
 
 def motion_hint(
-    scores: Scores, q: Tensor, time_s: Tensor, judge: Callable[[Any, Tensor, Tensor], Scores]
+    scores: Scores,
+    q: Tensor,
+    time_s: Tensor,
+    judge: Callable[[Any, Tensor, Tensor], Scores],
+    robot: Robot,
 ) -> str | None:
-    """One line about motions that all fail, or last long, and succeed in other units; None: nothing is found.
+    """One line about motions that all fail, or last long, and succeed in other units, or begin at home with the joints in
+    another order; None: nothing is found.
 
     Args:
         scores: verdicts of the B rows.
         q: (B, W, joints) as given, rad.
         time_s: (B, W) or (W,) as given, s.
         judge: judges some of the B rows with other angles and times.
+        robot: whose joints they are.
     """
+    if (words := _order_of_joints(scores, q, robot)) is not None:
+        return words
     ended = time_s[..., -1].expand(len(q))
     median = float(ended.double().median()) if len(q) >= ROWS else 0.0
     long = SLOW_S < median < math.inf
@@ -205,21 +271,21 @@ def motion_hint(
     if rows is not None:
         time = time_s if time_s.ndim == 1 else time_s[rows]
         name, unit = "q read as degrees: angles are in radians", 1.0
-        if long:
-            name, unit = (
-                "q read as degrees and time_s as milliseconds: rad and s are the units",
-                1e-3,
-            )
+        if long and (known := _unit_of_time(median)):
+            name = f"q read as degrees and time_s as {known[0]}: rad and s are the units"
+            unit = 1 / known[1]
         parts = [judge(rows, q[rows], time), judge(rows, q[rows] * (math.pi / 180), time * unit)]
-        words = _best(scores, Scores.concatenate(parts), (name,))
+        words = _best(scores, Scores.concatenate(parts), (name,), ROWS)
         most = float(q.abs().flatten(1).amax(1).double().median())
         if words is None and TURNED_RAD < most < math.inf:
             words = f"the median motion has an angle of {most:.0f} rad, {most / (2 * math.pi):.0f} turns: angles are in radians"
         return words
     if not long:
         return None
+    if (known := _unit_of_time(median)) is None:
+        return None
     rows = torch.arange(ROWS, dtype=torch.int64, device=q.device)
-    word, of_second = ("microseconds", 1e6) if median > 1000 * SLOW_S else ("milliseconds", 1e3)
+    word, of_second = known
     found = judge(rows, q[rows], (time_s if time_s.ndim == 1 else time_s[rows]) / of_second)
     if not (found.passed.sum(1) >= scores.passed[rows].sum(1)).all():
         return None
@@ -227,6 +293,50 @@ def motion_hint(
         f"the median motion lasts {median:.0f} s; with time_s read as {word} it lasts {median / of_second:.1f} s and"
         f" {ROWS} of {ROWS} rows pass as many criteria: times are in seconds"
     )
+
+
+def _unit_of_time(median: float) -> tuple[str, float] | None:
+    """The unit, and how many make a second, in which the median motion lasts as long as motions do."""
+    for name, of_second in UNITS_OF_TIME:
+        if USUAL_S[0] <= median / of_second <= USUAL_S[1]:
+            return name, of_second
+    return None
+
+
+def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
+    """One line where most motions fail, none begins at home, and all do with the joints in another order."""
+    if len(q) < ROWS or 2 * int(scores.success.sum()) > len(q):
+        return None
+    names, home = robot.joints, torch.tensor(robot.home_q, dtype=torch.float64, device="cpu")
+    first = q[:, 0].double().cpu()
+    alphabetical = sorted(range(len(names)), key=lambda k: names[k])
+    near = first.median(0).values
+    sorted_alike = torch.empty(len(names), dtype=torch.int64, device="cpu")
+    sorted_alike[near.argsort()] = home.argsort()
+    if (first - home).abs().amax(1).min() < AT_HOME_RAD:
+        return None
+    for order in (alphabetical, sorted_alike.tolist()):  # column k holds joint order[k]
+        if (first - home[order]).abs().amax(1).max() < AT_HOME_RAD:
+            read = ", ".join(names[k] for k in order)
+            why = " (the alphabet's, as in /joint_states)" if order == alphabetical else ""
+            return f"all {len(q)} motions begin at home with q read in the order {read}{why}; the order is {', '.join(names)}"
+    return None
+
+
+def _sample(scores: Scores) -> Tensor | None:
+    """Rows that are judged again, where so many fail that another convention could be told from chance."""
+    valid = scores.outcome != int(Outcome.INVALID_INPUT)
+    judged = scores[valid]
+    n, succeed = len(judged), int(judged.success.sum())
+    # of few rows: where all fail the same criterion
+    if n < ROWS or (n < 2 * ROWS and not succeed and not failing(judged).any()):
+        return None
+    if 4 * succeed > 3 * n:  # no quarter of them could be won
+        return None
+    rows = torch.nonzero(valid)[:, 0]
+    return rows[
+        torch.linspace(0, n - 1, min(n, SAMPLE), dtype=torch.float64).long().to(rows.device)
+    ]
 
 
 def _eight(scores: Scores) -> Tensor | None:
@@ -239,22 +349,25 @@ def _eight(scores: Scores) -> Tensor | None:
     return torch.nonzero(valid)[:ROWS, 0]
 
 
-def _best(scores: Scores, found: Scores, names: Sequence[str]) -> str | None:
-    """The line about the conventions in which most rows succeed: `found` has the rows as given, then those of
+def _best(scores: Scores, found: Scores, names: Sequence[str], n: int) -> str | None:
+    """The line about the conventions in which most rows succeed: `found` has the n rows as given, then those of
     each name."""
     valid = scores[scores.outcome != int(Outcome.INVALID_INPUT)]
-    alike = failing(valid).tolist()
-    words = " and ".join(name for name, of in zip(scores.criteria, alike, strict=True) if of)
-    succeed = found.success.reshape(1 + len(names), ROWS).sum(1)
-    more = (succeed[1:] - succeed[0]).tolist()
-    if max(more) < LEAST:
+    succeed = found.success.reshape(1 + len(names), n).sum(1).tolist()
+    given, others = succeed[0], succeed[1:]
+    most = max(others)
+    far = most >= TIMES * given or TIMES * (n - most) <= n - given
+    if not far or most - given < max(LEAST, n // 4):
         return None
     # What is right and one that a symmetry makes as good are both said: which of them is meant, the user knows.
-    best = sorted(range(len(names)), key=lambda k: -more[k])
+    best = sorted(range(len(names)), key=lambda k: -others[k])
     said = []
-    for k in (k for k in best[:2] if more[k] >= max(LEAST, max(more) - 1)):
+    for k in (k for k in best[:2] if others[k] - given >= max(LEAST, most - given - 1)):
         name, _, meaning = names[k].partition(": ")
-        said.append(
-            f"{int(succeed[1 + k])} of {ROWS} pass with {name}{f': {meaning}' if meaning else ''}"
-        )
-    return f"all {len(valid)} rows fail{f' {words}' if words else ''}; {'; '.join(said)}"
+        said.append(f"{others[k]} of {n} pass with {name}{f': {meaning}' if meaning else ''}")
+    alike = failing(valid).tolist()
+    words = " and ".join(name for name, of in zip(scores.criteria, alike, strict=True) if of)
+    fail = f"all {len(valid)} rows fail{f' {words}' if words else ''}"
+    if succeed := int(valid.success.sum()):
+        fail = f"{succeed} of {len(valid)} rows succeed; at the handover {given} of {n} pass as they are given"
+    return f"{fail}; {'; '.join(said)}"
