@@ -1,4 +1,4 @@
-"""Speed and size of the data to learn from that `observe export` writes: docs/observe.md.
+"""Speed and size of the data to learn from that `export views` writes: docs/observe.md.
 
 `python bench/observe_export.py --json bench/results/observe_export.json` writes a shard as the page's command does, and reads it
 back with h5py alone. Process seconds of one core; a small shard is written first, so that kernels are compiled, instances built
@@ -12,7 +12,7 @@ from pathlib import Path
 from _report import Report, arguments
 
 FAMILIES, PAIRS, FIRST = "* x 5 seed 5", 16, 8
-"""As `observe export` takes them; trials of the shard that is not measured."""
+"""As `export views` takes them; trials of the shard that is not measured."""
 MEASURES = (
     *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/learning", "r2h_batch/methods/oracle.py"),
     *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py", "r2h_batch/judge"),

@@ -67,7 +67,7 @@ def draw(run: Path, release: Path, out: Path) -> dict[str, str]:
         strips = ("--strips", out / "strips_5.png", "--overwrite")
         command("view", run, "--method", "fc", "handover-va", "contact", "intent", "--trial", 5, *strips)
         scene = ("--out", folder / "scene", "--render", out / "scene.png", "--overwrite")
-        command("scene", run, "--method", "fc", "--trial", moved, *scene)
+        command("export", "scene", run, "--method", "fc", "--trial", moved, *scene)
     grasps(out / "baselines_grasps.png")
     drawn = [
         out / f"{name}.png" for name in ("report", "gallery", "strips_5", "scene", "release_scene", "release_strips")

@@ -14,70 +14,23 @@ from r2h_batch.base.gone import gone
 from r2h_batch.base.package import VERSION
 
 COMMANDS = {
-    "sweep": (
-        "sweep.command:main",
-        "Score methods or predictions files on the trials and print Table I.",
-    ),
-    "trials": (
-        "commands.trials:trials",
-        "Write the trials and everything that a method may read.",
-    ),
-    "scene": (
-        "commands.scene:scene",
-        "Write one stored trial as a folder that plain MuJoCo opens.",
-    ),
+    "sweep": ("sweep.command:main", "Score methods or predictions files on the trials."),
+    "report": ("commands.report:report", "Print the table of run folders, or write their page."),
+    "compare": ("commands.compare:compare", "Compare methods on the trials that they share."),
+    "view": ("view.command:view", "Look at trials, or write one as a page, a film or strips."),
+    "why": ("view.why:why", "Say why one trial failed, and what would have passed."),
+    "ls": ("commands.ls:ls", "List what can be named; show and check a benchmark."),
     "export": (
-        "commands.export:export",
-        "Write trials of a run as files of the authors' release.",
-    ),
-    "real": (
-        "view.lab.command:COMMANDS",
-        "Write trials for a real arm: paths, sheets, objects, a table to fill in.",
-    ),
-    "ls": (
-        "sweep.ls:ls",
-        "List methods, objects, robots, benchmarks or runs.",
-    ),
-    "benchmark": (
-        "commands.benchmark:COMMANDS",
-        "Show what a benchmark file may say, or check one.",
-    ),
-    "train": (
-        "commands.train:COMMANDS",
-        "Train a method on new instances with the evaluator's labels.",
-    ),
-    "observe": (
-        "commands.observe:COMMANDS",
-        "Write what depth cameras see of new things, with labels, to learn from.",
-    ),
-    "view": (
-        "view.command:view",
-        "Look at trials in three dimensions, or write one as a page, a film or strips.",
-    ),
-    "why": (
-        "view.why:why",
-        "Say why one trial failed: criterion, margin, what decides it, what would have passed.",
+        "commands.export:COMMANDS",
+        "Write trials, scenes, results or views for other programs.",
     ),
     "import": (
         "commands.import_robot:COMMANDS",
-        "Turn other people's hands and grasps into files that sweeps read.",
+        "Read other people's robots, hands, objects, trials.",
     ),
-    "results": (
-        "sweep.results.command:COMMANDS",
-        "Check a run folder, judge its rows again, or count them at other thresholds.",
-    ),
-    "report": (
-        "commands.report:report",
-        "Print the table of a run folder, or write its page.",
-    ),
-    "study": (
-        "sweep.study.command:COMMANDS",
-        "Compare a real robot with a run, and test people's ratings.",
-    ),
-    "compare": (
-        "commands.compare:compare",
-        "Compare methods on the trials that they share.",
-    ),
+    "results": ("sweep.results.command:COMMANDS", "Check a run folder, or judge its rows again."),
+    "study": ("sweep.study.command:COMMANDS", "Compare a real robot with a run; test ratings."),
+    "train": ("commands.train:COMMANDS", "Train a method with the evaluator's labels."),
 }
 """Subcommand -> the function that it is, or its subcommands' dict, and what it does.
 
@@ -122,7 +75,8 @@ def _about(name: str, given: Sequence[str], prog: str) -> int:
             parse(_completed(), given, prog=prog)
         except OSError as error:
             return failed(prog, error)
-    if told := gone(name):
+    words = [" ".join(given[:n]) for n in range(len(given), 0, -1)]
+    if told := next((told for word in words if (told := gone(word))), ""):
         return refuse(prog, told)
     kind, allowed = (
         ("flag", ["--help", "--version"])

@@ -1,4 +1,4 @@
-"""One command and eight subcommands: what they are called, how they refuse, what `--help` imports."""
+"""One command and its subcommands: what they are called, how they refuse, what `--help` imports."""
 
 import ast
 import re
@@ -24,6 +24,7 @@ NESTED = (
     "results reception",
     "study ratings",
     "study real",
+    *(f"export {kind}" for kind in ("trials", "scene", "release", "real", "views")),
 )
 
 
@@ -34,11 +35,13 @@ def helped(capsys, *line):
     return capsys.readouterr().out
 
 
-def test_help_names_the_program_as_it_was_called_and_lists_the_subcommands(capsys):
+def test_help_names_the_program_as_it_was_called_and_lists_the_subcommands(monkeypatch, capsys):
+    monkeypatch.setenv("COLUMNS", "80")
     for name in (*COMMANDS, *NESTED):
         assert helped(capsys, *name.split()).startswith(f"usage: r2h-batch {name} ")
     out = helped(capsys)
     assert out.startswith("usage: r2h-batch") and all(name in out for name in COMMANDS)
+    assert len(out.splitlines()) <= 25
     assert main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("r2h_batch 0")
 
@@ -67,9 +70,9 @@ if slow: sys.exit(f"judging imports {slow}")
 """
 
 
-@pytest.mark.parametrize("name", ["view", "report", "compare", "trials", "scene", "results reception"])
+@pytest.mark.parametrize("name", ["view", "report", "compare", "export trials", "export scene", "results reception"])
 def test_help_shows_lists_as_dots_and_no_empty_word(capsys, name):
-    out = helped(capsys, *name.split(), *(["--help-all"] if name == "scene" else []))
+    out = helped(capsys, *name.split(), *(["--help-all"] if name == "export scene" else []))
     assert "..." in out and not re.findall(r"\[[A-Z{][^]\n]*\.\.\.\]|\{,", out)
 
 
@@ -109,8 +112,8 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
         ("report x --fromat md", ["--fromat, did you mean --format?", "--by-object"]),
         ("compare", ["no run folder"]),
         ("results rethreshold x --reach-radios 1", ["did you mean --reach-radius?"]),
-        ("scene x --trail 1 --out y", ["did you mean --trial?"]),
-        ("trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
+        ("export scene x --trail 1 --out y", ["did you mean --trial?"]),
+        ("export trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         (
             "sweep --method random --benchmark r2h-v3",
             ["no benchmark is called 'r2h-v3', did you mean r2h-v3-draft?; allowed are"],
@@ -132,7 +135,7 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
             "sweep --benchmark r2h-v1 --method random --objects not_there",
             ["not_there: there is no such folder or file; --objects takes"],
         ),
-        ("trials --trials 3", ["--out"]),
+        ("export trials --trials 3", ["--out"]),
         ("sweep --benchmark r2h-v1 --method fc --method random", ["--method is given twice", "--method A B"]),
         ("import robot --urdf x --base b --flange f --out y --package a=1 --package=b=2", ["--package is given twice"]),
     ],

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.check
 def test_every_flag_and_option_of_the_page_is_one(capsys):
     known = {"--builtin"}
     imports = (["import", what] for what in ("hand", "hands", "grasps", "trials"))
-    for line in (["sweep"], *imports, ["trials"], ["scene"], ["export"]):
+    for line in (["sweep"], *imports, ["export", "trials"], ["export", "scene"], ["export", "release"]):
         with pytest.raises(SystemExit):
             main([*line, "--help" if line[0] == "import" else "--help-all"])
         known |= set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))

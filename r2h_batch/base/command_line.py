@@ -65,9 +65,11 @@ def parse(
     if isinstance(command, Mapping):
         words = [a for a in arguments if not a.startswith("-")]
         completing = bool(arguments) and arguments[0].startswith("--tyro-")
+        if (not words or words[0] not in command) and not completing:
+            for asked in (*words[:1], *(a.partition("=")[0] for a in arguments if a[:2] == "--")):
+                if told := gone(f"{name} {asked}"):
+                    raise UsageError(told)
         if words and words[0] not in command and not completing:
-            if told := gone(f"{name} {words[0]}"):
-                raise UsageError(told)
             what = f"unknown subcommand {words[0]!r}{nearest(words[0], list(command))}"
             raise UsageError(f"{what}; allowed are {', '.join(command)}")
         chosen = command.get(words[0]) if words else None

@@ -15,8 +15,8 @@ GONE = {
     "results picked": "sweep with --benchmark r2h-v3-draft, which asks for it, or call r2h_batch.judge.picked (docs/pick.md)",
     "results viewed": "report has Presented, which says whether the receiver sees the part",
     "study comfort": "use study ratings FILE.csv",
-    "study rated": "use study ratings FILE.csv; r2h-batch trials writes poses, results reception what the person could take",
-    "study trials": "use r2h-batch trials for poses, results reception for what the person could take",
+    "study rated": "use study ratings FILE.csv; export trials writes poses, results reception what the person could take",
+    "study trials": "use export trials for poses, results reception for what the person could take",
     "sweep --robustness": "sweep once with each --execution-error (docs/results/robustness.md)",
     "turn": "sweep with --turn into RUN-turned/half and RUN-turned/cycled, then compare RUN (docs/statistics.md#turn-test)",
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
@@ -32,12 +32,21 @@ GONE = {
     "results transfer": _NOBODY,
     "view --transfer": _NOBODY,
     "view --release": _NOBODY,
+    "trials": "write export trials with the same flags",
+    "scene": "write export scene RUN with the same flags",
+    "export --to": "write export release RUN --out FOLDER",
+    "real": "write export real RUN with the same flags",
+    "observe": "write export views with the same flags",
+    "benchmark": "write ls benchmark FILE to check one, ls benchmark --schema for the schema",
+    "benchmark show --builtin": "write ls benchmark --yaml",
+    "benchmark show": "write ls benchmark --schema, or ls benchmark --yaml for the default one as a file",
+    "benchmark check": "write ls benchmark FILE",
     "Benchmark.evaluator": "write r2h_batch.Evaluator(benchmark, PRESET, device=..., threads=...)",
     "Benchmark.baselines": "write r2h_batch.report.load_baselines(benchmark)",
     "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
 }
-"""A command with the word that went (`sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`, `--method NAME,OPTION`), or
-`Class.attribute` -> what to use instead."""
+"""A command with the word that went (`COMMAND`, `sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`,
+`--method NAME,OPTION`), or `Class.attribute` -> what to use instead."""
 
 
 def gone(name: str) -> str:

@@ -1,69 +1,16 @@
-"""The command `export`: trials of a run as files of other programs. Light until there is work."""
+"""The command `export`: what leaves for other programs, a subcommand for each kind."""
 
-from pathlib import Path
-from typing import Annotated, Literal
+from r2h_batch.base.command_line import Command
+from r2h_batch.commands.real import real
+from r2h_batch.commands.release import release
+from r2h_batch.commands.scene import scene
+from r2h_batch.commands.trials import trials
+from r2h_batch.commands.views import views
 
-import tyro
-
-from r2h_batch.base.command_line import check_range, counted
-from r2h_batch.base.io.read import printable
-from r2h_batch.base.io.write import check_output_folder
-from r2h_batch.commands.trials import MOST_TRIALS
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
-
-
-def export(
-    run: Annotated[Path, tyro.conf.Positional],
-    *,
-    to: Literal["r2handoversim"],
-    out: Path,
-    method: str = "",
-    trials: int = 100,
-    benchmark: BenchmarkChoice = DEFAULT,
-) -> int:
-    """Write trials of a run, and its verdicts, as files of the authors' release.
-
-    The release replays and judges the trials. The verdicts are results.json, results.csv and
-    paper_table.
-
-    Args:
-        run: run folder of a sweep; what it does not store is computed again.
-        to: format: r2handoversim (handover.trial.v1).
-        out: a new or empty folder.
-        method: the sweep's word (fc) or the table's name; needed where the run has several.
-        trials: the first trials of each split.
-        benchmark: where its files are now, if they are not where the sweep found them.
-    """
-    check_range("--trials", trials, 1, MOST_TRIALS, "")
-    check_output_folder(out, overwrite=None)
-    from r2h_batch.runs.files import RunError
-    from r2h_batch.runs.store import UNJUDGED, load_run
-    from r2h_batch.scene.robot import DEFAULT_ROBOT
-
-    stored = load_run(run)
-    if stored.robot != DEFAULT_ROBOT:
-        words = f"holds motions of {stored.robot}; {to} has the {DEFAULT_ROBOT} alone"
-        raise RunError(f"{printable(run)}: {words}")
-    name = stored.complete(method or None)  # before torch is imported
-    from r2h_batch.view.export.release import (
-        release_names,
-        write_release_results,
-        write_release_trial,
-    )
-    from r2h_batch.view.stored import Reader
-
-    reader = Reader(stored, benchmark)
-    rows = reader.rows(name).to_pylist()
-    judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
-    names = release_names([r["trial_id"] for r in judged], name, reader.run.labels)
-    ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
-    out.mkdir(parents=True, exist_ok=True)
-    for i in ids:
-        write_release_trial(reader.trial(i, name), *names[i], out)
-    write_release_results(judged, names, out)
-    left = f"; {counted(len(rows) - len(judged), 'trials')} that were not judged are left out"
-    print(
-        f"{counted(len(ids), 'trials')} of {printable(name)} in {out}, results of {len(judged)}"
-        f"{left if len(judged) < len(rows) else ''}"
-    )
-    return 0
+COMMANDS: dict[str, Command] = {
+    "trials": trials,
+    "scene": scene,
+    "release": release,
+    "real": real,
+    "views": views,
+}

@@ -1,4 +1,4 @@
-"""The command `scene`: one stored trial as MJCF. Light until there is work."""
+"""The command `export scene`: one stored trial as MJCF. Light until there is work."""
 
 from pathlib import Path
 from typing import Annotated

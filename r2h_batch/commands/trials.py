@@ -1,4 +1,4 @@
-"""The command `trials`: what a method may read. Light until there is work."""
+"""The command `export trials`: what a method may read. Light until there is work."""
 
 from pathlib import Path
 from typing import Literal

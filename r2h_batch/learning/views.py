@@ -79,7 +79,7 @@ def write_views(
         UsageError: h5py is missing, or the folder's card is of other shards.
     """
     if find_spec("h5py") is None:
-        raise UsageError("observe export writes HDF5 with h5py: pip install 'r2h_batch[import]'")
+        raise UsageError("export views writes HDF5 with h5py: pip install 'r2h_batch[import]'")
     out.mkdir(parents=True, exist_ok=True)
     card = _card(pairs, sees)
     place = out / "README.md"

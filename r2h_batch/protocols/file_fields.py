@@ -1,5 +1,5 @@
 """The benchmark file: every field with its type and bounds, its reader, and the built-in benchmark
-as such a file. `r2h-batch benchmark show` prints the schema."""
+as such a file. `r2h-batch ls benchmark --schema` prints the schema."""
 
 from __future__ import annotations
 
@@ -287,8 +287,8 @@ def _schema_at(model: type[BaseModel], names: Sequence[str]) -> dict[str, Any]:
 
 
 ABOUT = """\
-# The default benchmark. `r2h-batch benchmark show` prints what every field may hold, `r2h-batch benchmark check FILE` reads
-# a file, `r2h-batch sweep --benchmark FILE` scores on it. Fields that are left out have these values. The robot is a UR5e
+# The default benchmark. `r2h-batch ls benchmark --schema` prints what every field may hold, `r2h-batch ls benchmark FILE`
+# reads a file, `r2h-batch sweep --benchmark FILE` scores on it. Fields that are left out have these values. The robot is a UR5e
 # with a 2F-85.
 """
 

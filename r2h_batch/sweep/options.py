@@ -175,7 +175,8 @@ class Flags:
         Literal["md", "latex", "csv", "json"], Flag("format of the table", "output")
     ] = "md"
     save_paths: Annotated[
-        bool, Flag("store waypoints, goals, grasps and witnesses, for r2h-batch scene", "output")
+        bool,
+        Flag("store waypoints, goals, grasps and witnesses, for r2h-batch export scene", "output"),
     ] = False
     quiet: Annotated[bool, Flag("print only errors on stderr", "output")] = False
     device: Annotated[str, Flag("cpu, cuda or cuda:N")] = "cpu"

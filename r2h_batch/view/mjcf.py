@@ -1,6 +1,6 @@
 """One trial as a folder that plain MuJoCo opens, and as MuJoCo's MjSpec.
 
-`r2h-batch scene RUN --trial ID --out FOLDER` writes
+`r2h-batch export scene RUN --trial ID --out FOLDER` writes
 
     scene.xml, meshes/   robot, gripper, object, hand, table; the ghost at the target, palm, ball,
                          receiver's part, fingers as they hold and as they come; key frames `home`,

@@ -62,7 +62,7 @@ def test_every_command_that_takes_a_file_refuses_a_pipe_at_once(tmp_path, monkey
         "sweep --benchmark r2h-v1 --predictions pipe.npz --trials 1 --out run",
         "sweep --config pipe.yaml",
         "study ratings pipe.csv",
-        "benchmark check pipe.yaml",
+        "ls benchmark pipe.yaml",
     ):
         assert main(line.split()) == 2, line
         out, error = capsys.readouterr()

@@ -1,4 +1,4 @@
-"""Shards of views in HDF5 (`r2h-batch observe export`), read back by plain h5py."""
+"""Shards of views in HDF5 (`r2h-batch export views`), read back by plain h5py."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ FAMILIES = "cup x 1 seed 91"
 @pytest.fixture(scope="module")
 def shards(tmp_path_factory):
     out = tmp_path_factory.mktemp("views")
-    line = ["observe", "export", "--out", str(out), "--trials", "6", "--pairs", "4", "--families", FAMILIES]
+    line = ["export", "views", "--out", str(out), "--trials", "6", "--pairs", "4", "--families", FAMILIES]
     assert main([*line, "--shards", "2"]) == 0
     return out, line
 
@@ -50,7 +50,7 @@ def test_a_shard_holds_what_the_cameras_saw_and_the_labels_of_the_stream(shards)
 
 def test_a_told_region_is_in_the_shard_and_in_the_card_and_else_is_not(shards, tmp_path):
     held = "hammer x 1 seed 91"
-    line = ["observe", "export", "--out", str(tmp_path), "--trials", "6", "--pairs", "4", "--families", held]
+    line = ["export", "views", "--out", str(tmp_path), "--trials", "6", "--pairs", "4", "--families", held]
     assert main([*line, "--sees", "cell-v1,region=told"]) == 0
     with h5py.File(tmp_path / "shard-000000.h5") as file, h5py.File(shards[0] / "shard-000000.h5") as other:
         told = {k: file[k][()] for k in ("object/region", "cloud/region")}

@@ -50,7 +50,7 @@ READ = {
         "sweep/study/report.py",
     ),
     "command": (
-        *("__main__.py", "base/command_line.py", "sweep/command.py", "sweep/ls.py", "commands/compare.py"),
+        *("__main__.py", "base/command_line.py", "sweep/command.py", "commands/ls.py", "commands/compare.py"),
         *("sweep/results/command.py", "commands/report.py"),
     ),
     "words and lines": ("base/loggers.py", "base/io/log.py"),

@@ -154,7 +154,7 @@ def _run(command: Callable[[list[str]], int], line: list[str]) -> None:
 def _export(run: Path, method: str, out: Path) -> dict[str, str]:
     from r2h_batch.__main__ import main
 
-    _run(main, ["scene", str(run), "--trial", "3", "--method", method, "--out", str(out)])
+    _run(main, ["export", "scene", str(run), "--trial", "3", "--method", method, "--out", str(out)])
     described = json.loads((out / "trial.json").read_text())
     parts: list[Any] = [_without(described, MACHINE_FACTS)]
     for file in sorted(f for f in out.rglob("*") if f.is_file() and f.name != "trial.json"):

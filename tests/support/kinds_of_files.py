@@ -481,7 +481,7 @@ def kinds() -> dict[str, Kind]:
         "predictions .parquet": Kind(".parquet", some_answers, load_answers, table),
         "trials .npz": Kind(".npz", some_trials, listed, NPZ),
         "trials .json": Kind(".json", some_trials, listed, JSON),
-        "benchmark.yaml": Kind(".yaml", text(YAML_FILE), lambda p: command(["benchmark", "check", str(p)]), YAML),
+        "benchmark.yaml": Kind(".yaml", text(YAML_FILE), lambda p: command(["ls", "benchmark", str(p)]), YAML),
         "sweep's --config": Kind(".yaml", text(CONFIG), load_config, YAML),
         "run.json": Kind(".json", of_run("run.json"), reported, JSON),
         "a method's file": Kind(".json", of_run("methods/m.json"), reported, JSON),

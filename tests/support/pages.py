@@ -344,7 +344,7 @@ def sweep_file(reader: Reader) -> None:
 def released(reader: Reader) -> None:
     """A run, and its trials as files of the release, with results."""
     reader.ours(["sweep", "--method", "random", "--benchmark", "r2h-release", "--out", "runs/demo"])
-    reader.ours(["export", "runs/demo", "--to", "r2handoversim", "--out", "files"])
+    reader.ours(["export", "release", "runs/demo", "--out", "files"])
 
 
 PAGES: dict[str, tuple[Callable[[Reader], None], ...]] = {

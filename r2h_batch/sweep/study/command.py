@@ -22,7 +22,7 @@ def ratings(file: Path, /) -> int:
 
 
 def real(run: Path, file: Path, /, *, trials: int | None = None) -> int:
-    """Compare your own robot with a run, trial by trial: the table that `real export` wrote, filled in.
+    """Compare your own robot with a run, trial by trial: the table that `export real` wrote, filled in.
 
     Args:
         run: a run folder with the same methods and trials.

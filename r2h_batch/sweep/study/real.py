@@ -65,7 +65,7 @@ def real_report(run: Path, file: Path, trials: int | None) -> str:
 
     Args:
         run: the run folder.
-        file: CSV with the columns of `TRIAL_COLUMNS`, as `real export` writes it; or, without ids, of `RATE_COLUMNS`.
+        file: CSV with the columns of `TRIAL_COLUMNS`, as `export real` writes it; or, without ids, of `RATE_COLUMNS`.
         trials: trials of each method on the robot, for a file without ids.
 
     Raises:
@@ -80,7 +80,7 @@ def real_report(run: Path, file: Path, trials: int | None) -> str:
         return _paired_report(run, file)
     if trials is None:
         raise UsageError(
-            f"{file} has no column trial_id; give one (real export writes the table), or --trials with rates"
+            f"{file} has no column trial_id; give one (export real writes the table), or --trials with rates"
         )
     return _rates_report(run, file, trials)
 
@@ -282,7 +282,7 @@ def _rates_report(run: Path, file: Path, trials: int) -> str:
         real.append(real_sr)
         counts.append((rows[name].n, trials))
     head = ["Method", "sim SR", "real SR", "delta (95 %)", "sim T", "real T", "delta"]
-    words = "No trial is paired, so the intervals are wide: a column trial_id narrows them (`real export`)."
+    words = "No trial is paired, so the intervals are wide: a column trial_id narrows them (`export real`)."
     orders = _orders(sim, real, counts) if len(lines) >= OF_RATES else ""
     return document([of_lines(head, lines.values()), words, orders])
 

@@ -1,4 +1,4 @@
-"""Inputs of a method, as a folder: `r2h-batch trials --out FOLDER`.
+"""Inputs of a method, as a folder: `r2h-batch export trials --out FOLDER`.
 
     trials.npz, hands.npz, objects/NAME.npz    arrays; manifest.json and README.md say what they are
 

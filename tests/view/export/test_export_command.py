@@ -19,7 +19,7 @@ TIMES = ("t_plan_s", "t_method_s")
 
 
 def refused(arguments, capsys):
-    assert main(["scene", *map(str, arguments)]) == 2
+    assert main(["export", "scene", *map(str, arguments)]) == 2
     out = capsys.readouterr()
     (said,) = [
         line for line in out.err.splitlines() if not line.endswith(" s")
@@ -94,7 +94,7 @@ def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys
     assert sweep.main([*arguments, "--object-mesh", str(file)]) == 0
     capsys.readouterr()
     command = [folder, "--trial", 12, "--out", tmp_path / "x"]
-    assert main(["scene", *map(str, command)]) == 0
+    assert main(["export", "scene", *map(str, command)]) == 0
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     capsys.readouterr()
     (tmp_path / "elsewhere").mkdir()
@@ -102,7 +102,7 @@ def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys
     command += ["--overwrite"]
     message = refused(command, capsys)
     assert "brick" in message and "--object-mesh" in message
-    assert main(["scene", *map(str, command), "--object-mesh", str(file)]) == 0
+    assert main(["export", "scene", *map(str, command), "--object-mesh", str(file)]) == 0
     assert capsys.readouterr().out.strip() == str(tmp_path / "x") and (tmp_path / "x" / "scene.xml").is_file()
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)

@@ -21,8 +21,6 @@ def written(run, tmp_path_factory):
     """A trial of each split in the release's form."""
     folder = tmp_path_factory.mktemp("release")
     line = [
-        "--to",
-        "r2handoversim",
         "--benchmark",
         "r2h-v1",
         "--method",
@@ -32,7 +30,7 @@ def written(run, tmp_path_factory):
         "--out",
         str(folder / "files"),
     ]
-    assert main(["export", str(run), *line]) == 0
+    assert main(["export", "release", str(run), *line]) == 0
     return folder
 
 
@@ -83,8 +81,8 @@ def test_the_export_of_a_strangers_run_stays_in_its_folder(run, tmp_path):
     shutil.copytree(run, copy)
     ids = [r["trial_id"] for r in load_run(copy).trials("oracle").to_pylist()]
     (copy / "ids.csv").write_text("trial_id,id,variant\n" + "".join(f"{i},../../out/{i},x\n" for i in ids))
-    line = ["--to", "r2handoversim", "--benchmark", "r2h-v1", "--method", "oracle", "--trials", "1"]
-    assert main(["export", str(copy), *line, "--out", str(tmp_path / "a" / "files")]) == 0
+    line = ["--benchmark", "r2h-v1", "--method", "oracle", "--trials", "1"]
+    assert main(["export", "release", str(copy), *line, "--out", str(tmp_path / "a" / "files")]) == 0
     assert not (tmp_path / "out").exists() and len([*(tmp_path / "a" / "files").glob("oracle_*.json")]) == 2
 
 
@@ -167,11 +165,11 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
     run = (tmp_path / "run").rename(tmp_path / "moved")
     assert len(list(run.glob("imported-*"))) == 1
     (tmp_path / "in").rename(tmp_path / "gone")
-    assert main(["export", str(run), "--to", "r2handoversim", "--out", str(tmp_path / "out")]) == 0
+    assert main(["export", "release", str(run), "--out", str(tmp_path / "out")]) == 0
     line = [str(run), "--trial"]
-    assert main(["scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
-    assert main(["scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
-    assert main(["scene", *line, "9" * 20, "--out", str(tmp_path / "no")]) == 2
+    assert main(["export", "scene", *line, min(theirs), "--out", str(tmp_path / "scene")]) == 0
+    assert main(["export", "scene", *line, "nobody's", "--out", str(tmp_path / "no")]) == 2
+    assert main(["export", "scene", *line, "9" * 20, "--out", str(tmp_path / "no")]) == 2
     for name, t in theirs.items():
         back = json.loads((tmp_path / "out" / f"{name}.json").read_text())
         validate(back)
@@ -190,8 +188,6 @@ def by_the_paper(row) -> str:
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
     for method in ("oracle", "random"):
         line = [
-            "--to",
-            "r2handoversim",
             "--benchmark",
             "r2h-v1",
             "--method",
@@ -201,7 +197,7 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
             "--out",
             str(tmp_path / method),
         ]
-        assert main(["export", str(run), *line]) == 0
+        assert main(["export", "release", str(run), *line]) == 0
     both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
     assert len(both) == 8 and len({r["trial_id"] for r in both}) == 8
     for m in ("oracle", "random"):

@@ -16,7 +16,9 @@ from r2h_batch.scene.robot import ee_pose, load_robot
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("open") / "t"
-    assert main(["trials", "--benchmark", "r2h-v1", "--out", str(out), "--trials", "7", "--open-formats"]) == 0
+    assert (
+        main(["export", "trials", "--benchmark", "r2h-v1", "--out", str(out), "--trials", "7", "--open-formats"]) == 0
+    )
     return out / "open"
 
 

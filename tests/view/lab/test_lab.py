@@ -11,8 +11,8 @@ import trimesh
 from rounds import each
 
 from r2h_batch.__main__ import main
+from r2h_batch.commands.real import ids_of
 from r2h_batch.scene.robot import load_robot
-from r2h_batch.view.lab.command import ids_of
 from r2h_batch.view.lab.frames import pendant
 from r2h_batch.view.lab.paths import path_of, postures, ros2_of, tcp_of, urscript_of
 from r2h_batch.view.lab.sheets import RULER_M, grasp_sheet, hand_sheet, write_sheet
@@ -134,7 +134,7 @@ def test_the_hands_sheet_says_where_it_is(stored):
 
 def test_a_folder_for_the_laboratory_and_back(run, tmp_path, capsys):
     out = tmp_path / "lab"
-    assert main(["real", "export", str(run), "--trials", "0-4", "--out", str(out), "--rate-hz", "50"]) == 0
+    assert main(["export", "real", str(run), "--trials", "0-4", "--out", str(out), "--rate-hz", "50"]) == 0
     printed = capsys.readouterr().out
     assert "SAFETY.txt first" in printed and "left out, because they have no path" in printed
     rows = list(csv.DictReader((out / "outcomes.csv").open()))
@@ -182,6 +182,6 @@ def test_ids_are_read_or_refused():
     ],
 )
 def test_a_wrong_word_gets_one_line(run, tmp_path, capsys, flags, words):
-    assert main(["real", "export", str(run), "--out", str(tmp_path / "x"), *flags]) == 2
+    assert main(["export", "real", str(run), "--out", str(tmp_path / "x"), *flags]) == 2
     error = capsys.readouterr().err
     assert words in error and "Traceback" not in error

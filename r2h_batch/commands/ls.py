@@ -1,4 +1,4 @@
-"""The command `ls`: what can be named on a command line. Light until there is work."""
+"""The command `ls`: what can be named on a command line, and what a benchmark holds. Light until there is work."""
 
 import sys
 from collections.abc import Iterator
@@ -14,23 +14,34 @@ Line = tuple[str, ...]
 
 
 def ls(
-    what: Literal["methods", "objects", "families", "robots", "benchmarks", "runs"],
-    folder: Path | None = None,
+    what: Literal["methods", "objects", "families", "robots", "benchmarks", "runs", "benchmark"],
+    name: str = "",
     /,
+    *,
+    schema: bool = False,
+    yaml: bool = False,
 ) -> int:
-    """List methods, objects, families, robots, benchmarks or runs, one a line.
+    """List methods, objects, families, robots, benchmarks or runs, one a line; or show and check one benchmark.
 
     Args:
-        what: methods, objects, families (shipped instances, and families that are only drawn), robots, benchmarks or runs.
-        folder: with `runs`, the folder to search; by default runs.
+        what: methods, objects, families (shipped instances, and families that are only drawn), robots, benchmarks or runs; or
+            benchmark: reads one with all files that it names, and says what it holds.
+        name: with `runs`, the folder to search, by default runs; with `benchmark`, a name of ls benchmarks or your
+            benchmark.yaml, by default the default one.
+        schema: with `benchmark`, print the schema of a benchmark file instead (JSON Schema).
+        yaml: with `benchmark`, print the default benchmark as a file (YAML) that you can edit.
     """
-    if folder is not None and what != "runs":
+    if name and what not in ("runs", "benchmark"):
         raise UsageError(
-            f"ls {what} takes nothing more, and {str(folder)!r} is given; only ls runs FOLDER has a second word"
+            f"ls {what} takes nothing more, and {name!r} is given; only ls runs FOLDER and ls benchmark NAME have a second word"
         )
+    if (schema or yaml) and (what != "benchmark" or name or (schema and yaml)):
+        raise UsageError("write ls benchmark --schema, or ls benchmark --yaml, and nothing more")
+    if what == "benchmark":
+        return _schema() if schema else _yaml() if yaml else _benchmark(name)
     lines = list({
         "methods": _methods, "objects": _objects, "families": _families, "robots": _robots, "benchmarks": _benchmarks,
-        "runs": lambda: _runs(folder or Path("runs")),
+        "runs": lambda: _runs(Path(name or "runs")),
     }[what]())  # fmt: skip
     widths = [max(len(line[i]) for line in lines) for i in range(len(lines[0]))] if lines else []
     for line in lines:
@@ -108,6 +119,43 @@ def _benchmarks() -> Iterator[Line]:
     for name in BENCHMARK:
         default = "default" if name == DEFAULT_PROTOCOL else ""
         yield name, about.get(name, "of another package"), default
+
+
+def _schema() -> int:
+    import json
+
+    from r2h_batch.protocols.file_fields import BenchmarkFile
+
+    print(json.dumps(BenchmarkFile.model_json_schema(), indent=1))
+    return 0
+
+
+def _yaml() -> int:
+    from r2h_batch.protocols.file_fields import text_of
+    from r2h_batch.protocols.load import load_benchmark
+
+    found = load_benchmark()
+    sys.stdout.write(text_of(found.name, found.objects, found.receiver))
+    return 0
+
+
+def _benchmark(name: str) -> int:
+    """Reads a benchmark and all files that it names, and says what it holds."""
+    from r2h_batch.base.registry import DEFAULT_PROTOCOL
+    from r2h_batch.protocols.load import load_benchmark
+
+    found = load_benchmark(name or DEFAULT_PROTOCOL)
+    same = " (the default benchmark)" if found.digest == load_benchmark().digest else ""
+    print(f"{name or found.name}: protocol {found.protocol}, digest {found.digest}{same}")
+    for split in ("S0", "S1"):
+        names = ", ".join(o.name for o in found.objects if o.split == split)
+        print(f"{split}: {names or 'no object'}")
+    sides = found.hand_set.side.tolist()
+    vertices = len(found.hand_set.model.vertices)
+    print(f"hands: {sides.count(0)} right, {sides.count(1)} left, {vertices} vertices")
+    grasps = [f"{o.name} {len(o.grasps)}" for o in found.objects if o.grasps is not None]
+    print(f"grasps of its own: {', '.join(grasps) or 'none'}")
+    return 0
 
 
 def _runs(folder: Path) -> Iterator[Line]:

@@ -1,4 +1,4 @@
-"""The command `real`: stored trials for a robot in a laboratory. Light until there is work."""
+"""The command `export real`: stored trials for a robot in a laboratory. Light until there is work."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from r2h_batch.base.command_line import Command, check_range, counted
+from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
@@ -15,7 +15,7 @@ MOST_TRIALS = 1000
 LEAST_TCP_SPEED, MOST_TCP_SPEED = 0.01, 1.5
 
 
-def export(
+def real(
     run: Annotated[Path, tyro.conf.Positional],
     *,
     out: Path,
@@ -126,6 +126,3 @@ def _folder(trial: int, method: str) -> str:
 def _short(items: list[str] | list[int]) -> str:
     shown = ", ".join(map(str, items[:10]))
     return f"{shown} and {len(items) - 10} more" if len(items) > 10 else shown
-
-
-COMMANDS: dict[str, Command] = {"export": export}

@@ -1,4 +1,4 @@
-"""The command `observe`: data that depth cameras give, to learn from."""
+"""The command `export views`: data that depth cameras give, to learn from. Light until there is work."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ MOST_TRIALS = 1000
 """Images of so many trials are half a gigabyte in memory."""
 
 
-def export(
+def views(
     *,
     out: Path,
     shards: int = 1,
@@ -56,6 +56,3 @@ def export(
     for file in write_views(own, shown, out, shards=numbers, tell=LOG.info):
         print(file)
     return 0
-
-
-COMMANDS = {"export": export}
