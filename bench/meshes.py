@@ -16,7 +16,7 @@ import os
 import sys
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +40,7 @@ from r2h_batch.scene.mesh_import.pieces import convex_pieces
 from r2h_batch.scene.objects import ObjectMeshError, build_object
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.sweep.jobs import Setting, make_jobs
-from r2h_batch.sweep.request import Methods
+from r2h_batch.sweep.request import Sweep
 from r2h_batch.trials.holding.receiving import load_receiving
 
 MEASURES = (
@@ -225,7 +225,7 @@ def measure(
     )
     setting = Setting(evaluator, {}, lambda first, last: trials.trial_id[first:last], lambda ids: trials)
     for method in METHODS if grasps else ():
-        (job,) = make_jobs(Methods((method,)), [], setting)
+        (job,) = make_jobs(replace(setting, sweep=Sweep(method=(method,))), [])
         answer = job.predict(trials, None)
         row[method] = int(evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials).success.sum())
     return row

@@ -26,7 +26,7 @@ from r2h_batch.runs.header import Shard, differing
 from r2h_batch.runs.writing import TRIES, ShardWriter
 from r2h_batch.sweep import jobs as sweep_jobs
 from r2h_batch.sweep.jobs import Setting
-from r2h_batch.sweep.request import Request
+from r2h_batch.sweep.request import Sweep
 from r2h_batch.sweep.scoring import Scoring, Stopped, progress, score_shard, warm_up
 
 STARTS = 5
@@ -153,10 +153,10 @@ class Head:
 class Worker:
     """Lives in an actor: an evaluator, its kernels warm, that scores the shards it is sent."""
 
-    def __init__(self, set_up: Callable[[Request], Setting], request: Request) -> None:
-        self.setting = set_up(request)
-        files = sweep_jobs.load_files(request.methods)
-        self.jobs = {j.name: j for j in sweep_jobs.make_jobs(request.methods, files, self.setting)}
+    def __init__(self, set_up: Callable[[Sweep], Setting], sweep: Sweep) -> None:
+        self.setting = set_up(sweep)
+        files = sweep_jobs.load_files(sweep)
+        self.jobs = {j.name: j for j in sweep_jobs.make_jobs(self.setting, files)}
         for job in self.jobs.values():
             warm_up(job, self.setting)
 
@@ -207,8 +207,8 @@ def _lost(error: Exception) -> ClusterError:
     )
 
 
-def score_on_ray(work: Scoring, request: Request) -> list[str]:
-    """Every job's shards of this part through a pool of actors, which set up `request` again; only this
+def score_on_ray(work: Scoring) -> list[str]:
+    """Every job's shards of this part through a pool of actors, which set up the sweep again; only this
     process writes to the run folder.
 
     An actor or node that dies loses the shard it was at, which is queued again behind the others. After `TRIES`
@@ -220,24 +220,23 @@ def score_on_ray(work: Scoring, request: Request) -> list[str]:
 
     for job in work.jobs:  # compiles the kernels once, before several processes would
         warm_up(job, work.setting)
-    folder, part = work.folder, work.setting.part
+    folder, part = work.folder, work.setting.sweep.part
     todo = deque((j.name, s) for j in work.jobs for s in folder.todo(j.name, part))
     if not todo:
         return []
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
-        return _on_cluster(ray, work, request, todo)
+        return _on_cluster(ray, work, todo)
 
 
-def _on_cluster(ray: Any, work: Scoring, request: Request, todo: "deque[Task]") -> list[str]:
-    cluster, device = request.work.cluster, request.work.device
-    assert cluster is not None  # of a request for --engine ray
+def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> list[str]:
+    sweep = work.setting.sweep
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
     # environment names
-    own = {} if cluster.address else {"include_dashboard": False}
+    own = {} if sweep.address else {"include_dashboard": False}
     try:
-        with contextlib.nullcontext() if cluster.address else _own_token():
-            address = cluster.address or "local"
+        with contextlib.nullcontext() if sweep.address else _own_token():
+            address = sweep.address or "local"
             ray.init(address=address, log_to_driver=False, logging_level="ERROR", **own)
     except (OSError, RuntimeError, ValueError, ray.exceptions.RayError) as error:
         words = f"could be started or joined: {printable(error)[:300]}"
@@ -246,17 +245,16 @@ def _on_cluster(ray: Any, work: Scoring, request: Request, todo: "deque[Task]") 
     for number, handler in handlers.items():
         signal.signal(number, handler)
     # a Ray client (ray://) has no head of its own to ask
-    watched = cluster.address and "://" not in cluster.address
-    head = Head(ray.get_runtime_context().gcs_address if watched else "", cluster.timeout_s)
+    watched = sweep.address and "://" not in sweep.address
+    head = Head(ray.get_runtime_context().gcs_address if watched else "", sweep.ray_timeout)
     try:
-        gpus = cluster.gpus_per_worker or (1.0 if device != "cpu" else 0.0)
+        gpus = sweep.gpus_per_worker or (1.0 if sweep.device != "cpu" else 0.0)
         there = ray.cluster_resources()
         devices = there.get("GPU", 0) / gpus if gpus else there.get("CPU", 1) / 4
-        size = cluster.workers or max(1, int(devices))
+        size = sweep.workers or max(1, int(devices))
         # an actor sees its own GPUs only, as cuda:0; max_restarts 0: the pool replaces actors
         # itself
-        own_device = replace(request.work, device="cuda" if device != "cpu" else "cpu")
-        on_node = replace(request, work=own_device)
+        on_node = replace(sweep, device="cuda" if sweep.device != "cpu" else "cpu")
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
         pool = Pool(ray, partial(remote.remote, sweep_jobs.set_up, on_node), head.check)
         try:

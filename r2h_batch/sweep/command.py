@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from r2h_batch.base.loggers import LoggerName
     from r2h_batch.runs.store import Run
     from r2h_batch.sweep.jobs import Setting
-    from r2h_batch.sweep.request import Request, Storage
+    from r2h_batch.sweep.request import Sweep
     from r2h_batch.sweep.scoring import Scoring
 
 
@@ -112,14 +112,13 @@ def _run(
         _check_installed(options)
         if options.address:
             reach(options.address, options.ray_timeout)
-        request = requested(options)
-        methods, storage = request.methods, request.storage
-        files = sweep_jobs.load_files(methods)
-        sweep_jobs.resolve(methods, request.loop)
+        sweep = requested(options)
+        files, out = sweep_jobs.load_files(sweep), Path(sweep.out)
+        sweep_jobs.resolve(sweep)
         start = time.perf_counter()
-        setting = sweep_jobs.set_up(request)
-        if request.trials.benchmark.object_mesh and (
-            shares := request.trials.shares(setting.evaluator.benchmark, setting.header["trials"])
+        setting = sweep_jobs.set_up(sweep)
+        if sweep.object_mesh and (
+            shares := sweep.shares(setting.evaluator.benchmark, setting.header["trials"])
         ):
             LOG.info(f"sweep: {shares}")
         if setting.evaluator.benchmark.certified is not None and (left := _uncertified(setting)):
@@ -128,12 +127,12 @@ def _run(
             )
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
-        jobs = sweep_jobs.make_jobs(methods, files, setting)
-        new = not (storage.folder / "run.json").exists()
-        size = storage.shard_trials or (shard_size(setting, jobs) if new else 0)
+        jobs = sweep_jobs.make_jobs(setting, files)
+        new = not (out / "run.json").exists()
+        size = sweep.shard_trials or (shard_size(setting, jobs) if new else 0)
         # the first of two sweeps that start together decides the shard size; the other takes it
         header = {**setting.header, "command": command, "shard_trials": size}
-        folder = open_run(storage.folder, header, exact=bool(storage.shard_trials))
+        folder = open_run(out, header, exact=bool(sweep.shard_trials))
         log_to(folder.folder / setting.own_file("log.txt"))
         if setting.labels:
             write_labels(folder.folder, setting.labels)
@@ -142,7 +141,7 @@ def _run(
             LOG.debug(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
         for line in (line for job in jobs for line in job.lines):
             LOG.info(line)
-        for line in motions_left_out(request.left_out):
+        for line in motions_left_out(sweep.left_out):
             LOG.info(line)
     except (ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)
@@ -150,7 +149,7 @@ def _run(
         return _failed(error, Path(options.out))
     try:
         progress = ProgressFile(folder.folder / setting.own_file("progress.json"))
-        return _score(Scoring(setting, jobs, folder, stopping, progress), request)
+        return _score(Scoring(setting, jobs, folder, stopping, progress))
     except OSError as error:
         return _failed(error, folder.folder)
     except Stopped:
@@ -180,23 +179,23 @@ def _failed(error: OSError, folder: Path) -> int:
     return failed("sweep", error, "writing the run folder")
 
 
-def _score(work: "Scoring", request: "Request") -> int:
+def _score(work: "Scoring") -> int:
     """Score what is missing or damaged, in this process or on a cluster; the exit code."""
     from r2h_batch.runs.verify import mark_for_rerun
     from r2h_batch.sweep.cluster import score_on_ray
     from r2h_batch.sweep.scoring import score_local
 
-    folder = work.folder
+    folder, sweep = work.folder, work.setting.sweep
     for line in mark_for_rerun(folder.folder, folder.header):
         LOG.info(line)
-    refused = score_on_ray(work, request) if request.work.cluster else score_local(work)
+    refused = score_on_ray(work) if sweep.engine == "ray" else score_local(work)
     names = [j.name for j in work.jobs if j.name not in refused]
     for name, shards in work.without.items():
         which, last = ", ".join(map(str, sorted(shards))), list(shards.values())[-1]
         words = f"{name}: left out after three tries: shards {which} (the last: {last})"
         LOG.error(f"{words}; the same command tries them again")
-    alone = request.work.part[1] == 1
-    code = _finish(request.storage, names, alone=alone, without=bool(work.without))
+    alone = sweep.part[1] == 1
+    code = _finish(sweep, names, alone=alone, without=bool(work.without))
     return 2 if refused else code
 
 
@@ -213,7 +212,7 @@ def _log(stored: "Run", kind: "LoggerName") -> None:
             logger.log({f"{place}/{name}": value for name, value in numbers.items()})
 
 
-def _finish(storage: "Storage", names: list[str], *, alone: bool, without: bool) -> int:
+def _finish(sweep: "Sweep", names: list[str], *, alone: bool, without: bool) -> int:
     """Print the table if every method of this sweep is complete, else what is left; the exit code.
 
     `alone`: no other part of this sweep scores what is left. `without`: it went on without a shard, and has said so.
@@ -223,7 +222,7 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool, without: bool)
     from r2h_batch.report.next_commands import next_commands
     from r2h_batch.runs import store as results
 
-    stored = results.load_run(storage.folder)
+    stored = results.load_run(Path(sweep.out))
     code = 1 if without else 0
     left = {name: len(stored.missing(name)) for name in names if stored.missing(name)}
     if left and not code:
@@ -237,22 +236,22 @@ def _finish(storage: "Storage", names: list[str], *, alone: bool, without: bool)
         )
     if names and not stored.unfinished:
         write_summary(stored)
-        if storage.log:
-            _log(stored, storage.log)
+        if sweep.log:
+            _log(stored, sweep.log)
     if names and not left:
         table = report.table_of(stored)
-        if storage.format == "md":
+        if sweep.format == "md":
             sys.stdout.write(f"{report.brief(table)}\n{next_commands([stored], printed='brief')}")
         else:
-            sys.stdout.write(report.render(table, storage.format))
-        if "episodes" in storage.kinds:
+            sys.stdout.write(report.render(table, sweep.format))
+        if "episodes" in sweep.stored:
             from r2h_batch.report.closed_loop import render
 
             words = render(stored)
             (stored.folder / "closed_loop.md").write_text(words)
-            (sys.stdout if storage.format == "md" else sys.stderr).write(f"\n{words}")
+            (sys.stdout if sweep.format == "md" else sys.stderr).write(f"\n{words}")
         sys.stdout.flush()
-    LOG.info(f"run folder: {storage.folder}")
+    LOG.info(f"run folder: {sweep.out}")
     return code
 
 

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from fnmatch import fnmatchcase
 from functools import partial
 from importlib import import_module
@@ -34,7 +34,7 @@ from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
-from r2h_batch.sweep.request import Methods, Request, Work
+from r2h_batch.sweep.request import Sweep
 from r2h_batch.trials.predictions import (
     Answers,
     Motions,
@@ -47,8 +47,6 @@ from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import REGISTRY, SIDES
 
 if TYPE_CHECKING:
-    from r2h_batch.closed_loop.episodes import Loop
-    from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.methods.predictors import Observations
     from r2h_batch.observe.sees import Sees
@@ -83,15 +81,20 @@ class Setting:
     header: dict[str, Any]
     ids: Callable[[int, int], torch.Tensor]
     trials: Callable[[torch.Tensor], Trials]
-    loop: "Loop | None" = None  # how handovers are played in closed loop
+    sweep: Sweep = field(default_factory=Sweep)  # what was asked for
     labels: Labels | None = None  # what the owner of listed trials calls them
-    chunk: int = CPU_CHUNK  # trials scored at once
-    part: tuple[int, int] = (1, 1)  # which of how many parts this process scores
+
+    @property
+    def chunk(self) -> int:
+        """Trials scored at once."""
+        if self.sweep.chunk:
+            return self.sweep.chunk
+        return CPU_CHUNK if self.sweep.device == "cpu" else self.evaluator.rows_at_once()
 
     def own_file(self, name: str) -> str:
         """The file that this part has for itself: progress.json, or progress-3.json of part 3."""
-        stem, _, ending = name.partition(".")
-        return name if self.part[1] == 1 else f"{stem}-{self.part[0]}.{ending}"
+        (part, parts), (stem, _, ending) = self.sweep.part, name.partition(".")
+        return name if parts == 1 else f"{stem}-{part}.{ending}"
 
     @property
     def names(self) -> dict[str, int] | None:
@@ -125,41 +128,40 @@ class Job:
     """what was seen of the trials (ids) of the last answers, where the method sees: the columns of `sees`"""
 
 
-def set_up(request: Request) -> Setting:
+def set_up(sweep: Sweep) -> Setting:
     """The setting of a sweep.
 
     Raises:
         UsageError: there is no such device, or a split without objects.
         ValueError: one line about a file.
     """
-    if request.work.device != "cpu" and not torch.cuda.is_available():
+    if sweep.device != "cpu" and not torch.cuda.is_available():
         what = f"torch sees no CUDA device ({why_no_cuda()})"
-        raise UsageError(f"--device {request.work.device}: {what}; use --device cpu")
+        raise UsageError(f"--device {sweep.device}: {what}; use --device cpu")
     # a convex decomposition takes up to a minute: only where it is used
-    collision = request.configuration.plan.object_collision
-    benchmark = request.trials.read(pieces=collision == "pieces")
-    plan = request.trials.plan(benchmark)
-    config = benchmark.config(request.configuration)
-    sees = request.methods.sees and request.methods.sees.on(benchmark)
-    if request.loop is not None:
+    collision = sweep.configuration.plan.object_collision
+    benchmark = sweep.read(pieces=collision == "pieces")
+    plan = sweep.plan(benchmark)
+    sees = sweep.seeing and sweep.seeing.on(benchmark)
+    if sweep.loop is not None:
         from r2h_batch.closed_loop.episodes import check_in_gripper
 
         check_in_gripper(benchmark)
-    setting = prepare(benchmark, plan, config, request.work, request.loop, sees)
+    setting = prepare(benchmark, plan, sweep, sees)
     setting.header.update(
-        benchmark={"flags": request.trials.benchmark.flags()},
-        seed=request.methods.seed,
-        predictors=request.methods.about_predictors(),
-        stored=request.storage.kinds,
+        benchmark={"flags": sweep.choice.flags()},
+        seed=sweep.seed,
+        predictors=sweep.about_predictors(),
+        stored=list(sweep.stored),
     )
-    methods = [base_of(name) for name in request.methods.names]
+    methods = [base_of(name) for name in sweep.names]
     if added := plugin_records(families=families_of(benchmark.objects), methods=methods):
         setting.header["plugins"] = added
     if sees is not None:
         setting.header["sees"] = sees.identity
         setting.header["digests"]["sees"] = sees.digest
-    if request.left_out:
-        setting.header["motions_left_out"] = dict(request.left_out)
+    if sweep.left_out:
+        setting.header["motions_left_out"] = dict(sweep.left_out)
     return setting
 
 
@@ -177,14 +179,12 @@ def families_of(objects: Iterable["ObjectModel"]) -> dict[str, str]:
 
 
 def prepare(
-    benchmark: Benchmark,
-    plan: dict[str, int],
-    config: "EvalConfig",
-    work: Work,
-    loop: "Loop | None",
-    sees: "Sees | None" = None,
+    benchmark: Benchmark, plan: dict[str, int], sweep: Sweep, sees: "Sees | None" = None
 ) -> Setting:
-    """The setting of a plan (split -> trials of it); its header lacks what it does not depend on."""
+    """The setting of a plan (split -> trials of it); its header lacks what it does not depend on.
+
+    `sees`: how methods see on this benchmark.
+    """
     import platform
 
     from r2h_batch.evaluate import Evaluator
@@ -192,10 +192,11 @@ def prepare(
     from r2h_batch.scene.objects import object_digest
     from r2h_batch.scene.robot import load_robot
 
+    config, loop = benchmark.config(sweep.configuration), sweep.loop
     count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects
     first_trials = benchmark.trials(count, splits=list(plan))
     evaluator = Evaluator(
-        benchmark, config, device=work.device, threads=work.threads,
+        benchmark, config, device=sweep.device, threads=sweep.threads,
         plans_in=sees if sees is not None and sees.plans else None,
     )  # fmt: skip
     robot, execute = benchmark.robot, config.execute
@@ -229,8 +230,8 @@ def prepare(
         **({"asks": list(benchmark.asks)} if benchmark.asks else {}),
         "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {
-            "kind": work.device.partition(":")[0],
-            "name": provenance.device_name(work.device),
+            "kind": sweep.device.partition(":")[0],
+            "name": provenance.device_name(sweep.device),
         },
         "versions": provenance.versions(),
         "platform": platform.platform(),
@@ -241,11 +242,7 @@ def prepare(
     def ids(first: int, last: int) -> torch.Tensor:
         return torch.from_numpy(trial_ids(plan, first, last))
 
-    own_chunk = CPU_CHUNK if work.device == "cpu" else evaluator.rows_at_once()
-    return Setting(
-        evaluator, header, ids, benchmark.trials_with_ids, loop, benchmark.labels,
-        chunk=work.chunk or own_chunk, part=work.part,
-    )  # fmt: skip
+    return Setting(evaluator, header, ids, benchmark.trials_with_ids, sweep, benchmark.labels)
 
 
 def _about_object(model: "ObjectModel") -> dict[str, Any]:
@@ -268,13 +265,13 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
 Files = list[tuple[str, str, Answers]]
 
 
-def load_files(methods: Methods) -> Files:
+def load_files(sweep: Sweep) -> Files:
     """(path, sha256, answers) of every file: refused before anything slow starts."""
-    loaded = [(path, load_answers(path)) for path in (*methods.predictions, *methods.motions)]
+    loaded = [(path, load_answers(path)) for path in (*sweep.predictions, *sweep.motions)]
     for path, answers in loaded:
-        if (answers.motions is not None) != (path in methods.motions):
+        if (answers.motions is not None) != (path in sweep.motions):
             flags = ("--predictions", "--motions")
-            flag, other = flags if path in methods.predictions else flags[::-1]
+            flag, other = flags if path in sweep.predictions else flags[::-1]
             words = f"{path}: {flag} needs {flag[2:]}, the file holds {other[2:]}; say {other}"
             raise FileError(words)
         for words in doubts(answers.predictions, answers.motions):
@@ -282,19 +279,20 @@ def load_files(methods: Methods) -> Files:
     return [(path, provenance.file_digest([Path(path)]), answers) for path, answers in loaded]
 
 
-def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
+def make_jobs(setting: Setting, files: Files) -> list[Job]:
     """Every method and file as a job, aligned with the plan; names must differ."""
-    _check_postures(methods.names, setting.evaluator)
-    seen = _seen(methods.seen, setting)
-    if any(base_of(name) in METHOD_NAMES for name in methods.names):
-        check_grasps(setting.evaluator.scene, methods.allow_empty_candidates)
+    sweep = setting.sweep
+    _check_postures(sweep.names, setting.evaluator)
+    seen = _seen(sweep.seen, setting)
+    if any(base_of(name) in METHOD_NAMES for name in sweep.names):
+        check_grasps(setting.evaluator.scene, sweep.allow_empty_candidates)
     looks = None
-    if methods.sees is not None:
+    if sweep.seeing is not None:
         from r2h_batch.sweep.seeing import KEPT_TRIALS, Looks
 
-        kept = KEPT_TRIALS if len(methods.names) > 1 else 0
-        looks = Looks(methods.sees, setting.evaluator, kept)
-    jobs = [_method_job(name, setting.evaluator, methods, seen, looks) for name in methods.names]
+        kept = KEPT_TRIALS if len(sweep.names) > 1 else 0
+        looks = Looks(sweep.seeing, setting.evaluator, kept)
+    jobs = [_method_job(name, setting.evaluator, sweep, seen, looks) for name in sweep.names]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
         predictions, motions = answers.predictions, answers.motions
@@ -306,7 +304,7 @@ def make_jobs(methods: Methods, files: Files, setting: Setting) -> list[Job]:
         if not answers.benchmark:
             ours = setting.evaluator.benchmark.name
             LOG.info(f"{path}: does not say its benchmark; it is judged on {ours}")
-        rows = align(predictions, planned, source=path, allow_missing=methods.allow_missing)
+        rows = align(predictions, planned, source=path, allow_missing=sweep.allow_missing)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
         jobs.append(Job(predictions.method, source, partial(_rows_of, predictions), rows, motions))
@@ -362,24 +360,24 @@ class _Method:
     options: Mapping[str, Any]
 
 
-def resolve(methods: Methods, loop: "Loop | None" = None) -> None:
+def resolve(sweep: Sweep) -> None:
     """Raises `UsageError` or `ValueError` for a --method, --policy or --predictor that is not there, before
     anything slow starts."""
-    if loop is not None:
+    if (loop := sweep.loop) is not None:
         from r2h_batch.closed_loop.episodes import policy_of
 
         try:
             policy_of(loop.policy)
         except (ImportError, TypeError) as error:
             raise UsageError(f"--policy {loop.policy}: {error}") from None
-    for name in methods.names:
-        _method(name, seeing=methods.sees is not None)
-    if methods.predictor and "predicted_contacts" in methods.seen:
+    for name in sweep.names:
+        _method(name, seeing=sweep.seeing is not None)
+    if sweep.predictor and "predicted_contacts" in sweep.seen:
         raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
-    if methods.predictor:
+    if sweep.predictor:
         from r2h_batch.methods.predictors import load_predictor
 
-        load_predictor(methods.predictor)
+        load_predictor(sweep.predictor)
 
 
 def _function_of(word: str) -> str:
@@ -428,18 +426,18 @@ def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
 def _method_job(
     name: str,
     evaluator: "Evaluator",
-    methods: Methods,
+    sweep: Sweep,
     seen: "Observations | None" = None,
     looks: "Looks | None" = None,
 ) -> Job:
-    method, method_options = _method(name, seeing=methods.sees is not None), text_of_options(name)
+    method, method_options = _method(name, seeing=sweep.seeing is not None), text_of_options(name)
     module, takes, built_in = method.found.module, method.takes, method.built_in
     extra = dict(method.options)
     sees = METHODS[base_of(name)].sees if built_in else ()
-    if "evaluator" in takes and methods.sees is None:
+    if "evaluator" in takes and sweep.seeing is None:
         extra["evaluator"] = evaluator
     if _takes_seed(takes):
-        extra["seed"] = methods.seed
+        extra["seed"] = sweep.seed
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
     title = f"{base} ({method_options})" if method_options and not own_name(name) else base
     source = {"kind": "method", "function": method.found.spec}
@@ -475,8 +473,8 @@ def _method_job(
     if "noise" in takes:
         from r2h_batch.methods.predictors import load_predictor
 
-        extra["noise"] = methods.noise
-        own = methods.predictor if built_in and "predictor" in takes else ""
+        extra["noise"] = sweep.noise
+        own = sweep.predictor if built_in and "predictor" in takes else ""
         if own:
             extra["predictor"] = load_predictor(own)
         if seen is not None and "seen" in takes:
@@ -488,11 +486,11 @@ def _method_job(
             )
             stand_in = Path(own).name or next(chosen, module.STAND_IN)
             shown = {k: v for k, v in (seen.sources() if seen else {}).items() if k in sees}
-            noise, errors = methods.noise_factor, methods.errors
+            noise, errors = sweep.predictor_noise, sweep.errors
             title = table_name(
                 module.TITLE, stand_in, noise, shown, sees, method_options, errors=errors
             )
-        source["predictors"] = json.dumps(methods.about_predictors(), sort_keys=True)
+        source["predictors"] = json.dumps(sweep.about_predictors(), sort_keys=True)
 
     on_table = "T_world_obj" in takes and "pick" in evaluator.benchmark.asks
 
@@ -609,16 +607,16 @@ def job_of_run(header: Mapping[str, Any], source: Mapping[str, str], evaluator: 
         raise NotBuiltIn("it saw by cameras of a file of its own, which is not opened")
     noise_factor = predictors.get("noise_factor", 1.0)
     name = f"{word},{method_options}" if method_options else word
-    methods = Methods(
-        (name,), seed=header["seed"], noise_factor=noise_factor, errors=cast("Errors", errors),
-        sees=sees,
+    sweep = Sweep(
+        method=(name,), seed=header["seed"], predictor_noise=noise_factor, seeing=sees,
+        errors=cast("Errors", errors),
     )  # fmt: skip
     looks = None
     if sees is not None:
         from r2h_batch.sweep.seeing import Looks
 
         looks = Looks(sees, evaluator)
-    return _method_job(name, evaluator, methods, looks=looks)
+    return _method_job(name, evaluator, sweep, looks=looks)
 
 
 SHOWN_AS = {"receiving": "hand", "target": "target hand", "parts": "labels", "contacts": "contacts"}

@@ -1,5 +1,4 @@
-"""The request for a sweep: `requested` turns the options of a command line into the benchmark, the
-configuration, the methods, the work and the storage. Nothing behind it sees the options."""
+"""A sweep: the options of a command line, and what they mean (`requested`). One value goes through all of the room."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -17,7 +16,6 @@ from r2h_batch.sweep.settings import configured
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
-    from r2h_batch.base.loggers import LoggerName
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.data.release import Imported
     from r2h_batch.observe.sees import Sees
@@ -26,12 +24,46 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TrialPlan:
-    """Which trials are planned: the benchmark by its flags, splits, and how many of each."""
+class Sweep(Options):
+    """A sweep: its options, and what they mean once files and presets are read.
 
-    benchmark: BenchmarkChoice
-    splits: tuple[str, ...]  # in the order of `SPLITS`
-    count: int | None  # None: not said
+    Attributes:
+        configuration: how it is judged.
+        seeing: what methods are shown instead of trials and scene; None: they are told the truth.
+        loop: how the handovers are also played in closed loop.
+        left_out: why executed motions of a file are not judged, by the ids of their trials.
+        stored: tables beside the trials.
+        errors: the error model of the target hand as methods see it, whatever the planner sees.
+    """
+
+    configuration: EvalConfig = field(default_factory=EvalConfig)
+    seeing: "Sees | None" = None
+    loop: "Loop | None" = None
+    left_out: Mapping[str, str] = field(default_factory=dict)
+    stored: tuple[str, ...] = ("poses",)
+    errors: "Errors" = "normal"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The methods; those of installed packages spelled out."""
+        return tuple(map(spelled_out, self.method))
+
+    @property
+    def seen(self) -> dict[str, str]:
+        """Key of `SEEN_BY` -> file of a network's answers."""
+        return {name: file for name in SEEN_BY if (file := getattr(self, name))}
+
+    @property
+    def choice(self) -> BenchmarkChoice:
+        """The benchmark's own flags."""
+        return BenchmarkChoice(**{f.name: getattr(self, f.name) for f in fields(BenchmarkChoice)})
+
+    @property
+    def noise(self) -> "PredictorNoise":
+        """The error model of what the methods see."""
+        from r2h_batch.trials.noise import PredictorNoise
+
+        return PredictorNoise(target_errors=self.errors).scaled(self.predictor_noise)
 
     def read(self, *, pieces: bool) -> "Benchmark":
         """The benchmark; `pieces` as `load_benchmark` takes it.
@@ -41,22 +73,23 @@ class TrialPlan:
         """
         from r2h_batch.protocols.edit import edited, said_splits
 
-        if splits := said_splits(self.benchmark):  # before any mesh is built
+        if splits := said_splits(self.choice):  # before any mesh is built
             self._check_splits(splits)
-        return edited(self.benchmark, pieces=pieces)
+        return edited(self.choice, pieces=pieces)
 
     def plan(self, benchmark: "Benchmark") -> dict[str, int]:
         """Split -> trials of it."""
+        splits = [s for s in SPLITS if s in self.splits]
         if benchmark.listed is None:
             self._check_splits({o.split for o in benchmark.objects})
-            return dict.fromkeys(self.splits, self.count or Options.trials)
-        if self.count is not None:
+            return dict.fromkeys(splits, self.trials)
+        if self.trials != Options.trials:
             words = "a trials file has its own number, so leave --trials out"
             raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
         listed = benchmark.listed.trial_id % 2
-        counts = {s: int((listed == SPLITS.index(s)).sum()) for s in self.splits}
+        counts = {s: int((listed == SPLITS.index(s)).sum()) for s in splits}
         if not any(counts.values()):
-            raise UsageError(f"the trials file has none of --splits {' '.join(self.splits)}")
+            raise UsageError(f"the trials file has none of --splits {' '.join(splits)}")
         return {s: n for s, n in counts.items() if n}
 
     def shares(self, benchmark: "Benchmark", plan: Mapping[str, int]) -> str:
@@ -67,9 +100,9 @@ class TrialPlan:
             benchmark: as `read` gives it.
             plan: as `plan` gives it.
         """
-        if not self.benchmark.object_mesh or benchmark.listed is not None:
+        if not self.object_mesh or benchmark.listed is not None:
             return ""
-        added, words = benchmark.objects[-len(self.benchmark.object_mesh) :], []
+        added, words = benchmark.objects[-len(self.object_mesh) :], []
         for model in added:
             of_split = [o for o in benchmark.objects if o.split == model.split]
             rounds, rest = divmod(plan.get(model.split, 0), len(of_split))
@@ -83,47 +116,9 @@ class TrialPlan:
         return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
 
     def _check_splits(self, known: set[str]) -> None:
-        if missing := [s for s in self.splits if s not in known]:
+        if missing := [s for s in SPLITS if s in self.splits and s not in known]:
             how = f"give at least one, or --splits {' '.join(sorted(known))}"
             raise UsageError(f"no object belongs to split {missing[0]}; {how}")
-
-
-@dataclass(frozen=True)
-class Methods:
-    """Who answers, and what they see.
-
-    Attributes:
-        names: methods as `--method` names them.
-        predictions: files of poses.
-        motions: files of joint motions.
-        seed: of the methods.
-        noise_factor: on the error model of what they see.
-        errors: the error model of the target hand.
-        predictor: the contact network of the method contact; empty: the built-in one.
-        seen: key of `SEEN_BY` -> file of a network's answers.
-        allow_empty_candidates: count trials of objects without grasps as failures.
-        allow_missing: count trials that a file leaves out as failures.
-        sees: what methods are shown instead of trials and scene; None: they are told the truth.
-    """
-
-    names: tuple[str, ...] = ()
-    predictions: tuple[str, ...] = ()
-    motions: tuple[str, ...] = ()
-    seed: int = 0
-    noise_factor: float = 1.0
-    errors: "Errors" = "normal"
-    predictor: str = ""
-    seen: Mapping[str, str] = field(default_factory=dict)
-    allow_empty_candidates: bool = False
-    allow_missing: bool = False
-    sees: "Sees | None" = None
-
-    @property
-    def noise(self) -> "PredictorNoise":
-        """The error model of what the methods see."""
-        from r2h_batch.trials.noise import PredictorNoise
-
-        return PredictorNoise(target_errors=self.errors).scaled(self.noise_factor)
 
     def about_predictors(self) -> dict[str, Any]:
         """The entry of run.json about what the methods see: the error model, which contact network (its file,
@@ -138,84 +133,15 @@ class Methods:
             for name, file in self.seen.items()
         }
         return {
-            "noise_factor": self.noise_factor,
+            "noise_factor": self.predictor_noise,
             "noise": asdict(self.noise),
             "contact": contact,
             **networks,
         }
 
 
-@dataclass(frozen=True)
-class Cluster:
-    """The Ray cluster that scores.
-
-    Attributes:
-        address: to join; empty: one on this machine.
-        timeout_s: after which a cluster that does not answer counts as lost.
-        workers: actors; 0: one for each GPU, or for each 4 CPUs.
-        gpus_per_worker: of each actor; 0: one with device cuda.
-    """
-
-    address: str
-    timeout_s: float
-    workers: int
-    gpus_per_worker: float
-
-
-@dataclass(frozen=True)
-class Work:
-    """How it is scored.
-
-    Attributes:
-        device: cpu, cuda or cuda:N.
-        threads: CPU threads; None: all cores.
-        chunk: trials scored at once; 0: what suits the device.
-        part: (I, N): part I of N.
-        cluster: None: this process scores.
-    """
-
-    device: str
-    threads: int | None
-    chunk: int
-    part: tuple[int, int]
-    cluster: Cluster | None
-
-
-@dataclass(frozen=True)
-class Storage:
-    """The run folder, its tables, and the printed one.
-
-    Attributes:
-        folder: the run folder.
-        kinds: tables beside the trials.
-        shard_trials: trials of a shard; 0: a minute of work.
-        format: of the printed table.
-        log: logger that gets the table's numbers; None: none does.
-    """
-
-    folder: Path
-    kinds: list[str]
-    shard_trials: int
-    format: str
-    log: "LoggerName | None"
-
-
-@dataclass(frozen=True)
-class Request:
-    """A sweep: `loop` says how the handovers are also played in closed loop; `left_out` why executed
-    motions of a file are not judged, by the ids of their trials."""
-
-    trials: TrialPlan
-    configuration: EvalConfig
-    methods: Methods
-    work: Work
-    storage: Storage
-    loop: "Loop | None" = None
-    left_out: Mapping[str, str] = field(default_factory=dict)
-
-
-def requested(options: Options) -> Request:
-    """The request that the options make. Trials of `--trials-from` are imported into the run folder.
+def requested(options: Options) -> Sweep:
+    """The sweep that the options ask for. Trials of `--trials-from` are imported into the run folder.
 
     Raises:
         ValueError: one line about an option that cannot be.
@@ -223,36 +149,16 @@ def requested(options: Options) -> Request:
     loop = _loop(options)
     options, released = _with_trials(options)
     config = configured(EvalConfig.preset(options.preset), options.settings)
-    flags = {f.name: getattr(options, f.name) for f in fields(BenchmarkChoice)}
-    splits = tuple(s for s in SPLITS if s in options.splits)
-    count = None if options.trials == Options.trials else options.trials
-    cluster = None
-    if options.engine == "ray":
-        cluster = Cluster(
-            options.address, options.ray_timeout, options.workers, options.gpus_per_worker
-        )
-    methods = Methods(
-        names=tuple(map(spelled_out, options.method)), predictions=options.predictions, motions=options.motions,
-        seed=options.seed, noise_factor=options.predictor_noise, errors=config.estimate.errors,
-        predictor=options.predictor,
-        seen={name: file for name in SEEN_BY if (file := getattr(options, name))},
-        allow_empty_candidates=options.allow_empty_candidates, allow_missing=options.allow_missing,
-        sees=_sees(options),
-    )  # fmt: skip
-    return Request(
-        TrialPlan(BenchmarkChoice(**flags), splits, count),
-        _configuration(options, config, pieces=released is not None and released.boxes),
-        methods,
-        Work(options.device, options.threads, options.chunk, options.part, cluster),
-        Storage(
-            Path(options.out),
-            _stored(options),
-            options.shard_trials,
-            options.format,
-            options.log or None,
+    return Sweep(
+        **vars(options),
+        configuration=_configuration(
+            options, config, pieces=released is not None and released.boxes
         ),
-        loop,
-        released.left_out if released is not None and not options.replan else {},
+        seeing=_sees(options),
+        loop=loop,
+        left_out=released.left_out if released is not None and not options.replan else {},
+        stored=tuple(_stored(options)),
+        errors=config.estimate.errors,
     )
 
 

@@ -129,7 +129,7 @@ def score_local(work: Scoring) -> list[str]:
     """
     refused, folder = [], work.folder
     for job in work.jobs:
-        todo = folder.todo(job.name, work.setting.part)
+        todo = folder.todo(job.name, work.setting.sweep.part)
         if not todo:
             LOG.info(f"{job.name}: already in the run folder, reused")
             continue
@@ -195,10 +195,11 @@ def score_shard(
 ) -> None:
     """All trials of a shard through the evaluator into a writer; `Stopped` between chunks where
     that is asked."""
-    for first in range(shard.first, shard.last, setting.chunk):
+    chunk = setting.chunk
+    for first in range(shard.first, shard.last, chunk):
         if stopping():
             raise Stopped
-        last = min(first + setting.chunk, shard.last)
+        last = min(first + chunk, shard.last)
         rows = None if job.rows is None else job.rows[first:last]
         look = first == 0 and not job.warm  # built-in methods know the conventions
         trials = setting.trials(setting.ids(first, last))
@@ -265,7 +266,7 @@ def _score_chunk(
                     motions,
                     stored,
                     names,
-                    setting.loop,
+                    setting.sweep.loop,
                     look_for=job.name if look else None,
                 )
             )

@@ -28,8 +28,8 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.jobs import make_jobs, prepare
-from r2h_batch.sweep.options import base_of, check_method, spelled_out
-from r2h_batch.sweep.request import Methods, Work
+from r2h_batch.sweep.options import base_of, check_method
+from r2h_batch.sweep.request import Sweep
 from r2h_batch.types import CRITERIA, Predictions, Scores
 from r2h_batch.verdicts import SPLITS
 from r2h_batch.view.drawing import View, view_of
@@ -166,9 +166,12 @@ def make_vector(
     one_of(*PRESET_NAMES)("preset", preset)
     plan = dict.fromkeys(chosen, trials or max(LEAST_TRIALS, num_envs))
     how = EvalConfig.preset(preset)
-    how = benchmark.config(replace(how, execute=replace(how.execute, sim="none")))
-    setting = prepare(benchmark, plan, how, Work(device, threads, 0, (1, 1), None), None)
-    jobs = make_jobs(Methods(names=(spelled_out(method),), seed=seed), [], setting)
+    sweep = Sweep(
+        method=(method,), seed=seed, device=device, threads=threads,
+        configuration=replace(how, execute=replace(how.execute, sim="none")),
+    )  # fmt: skip
+    setting = prepare(benchmark, plan, sweep)
+    jobs = make_jobs(setting, [])
     asked = setting.trials(setting.ids(0, setting.planned)).to(setting.evaluator.scene.device)
     answer = jobs[0].predict(asked, None)
     scores = setting.evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)

@@ -15,9 +15,8 @@ import numpy as np
 import torch
 from made_runs import NAMES, made_trials, make_header, make_scores
 
-from r2h_batch.sweep.jobs import CPU_CHUNK, Setting
-from r2h_batch.sweep.options import Options
-from r2h_batch.sweep.request import Request
+from r2h_batch.sweep.jobs import Setting
+from r2h_batch.sweep.request import Sweep
 from r2h_batch.types import Outcome
 
 
@@ -56,20 +55,19 @@ class FakeEvaluator:
         )
 
 
-def set_up(request: Request) -> Setting:
+def set_up(request: Sweep) -> Setting:
     """The result of `jobs.set_up`, with a fake evaluator: trial ids are 0, 1, 2, ... in the plan's order."""
-    count = request.trials.count or Options.trials
-    n = {s: count if s in request.trials.splits else 0 for s in ("S0", "S1")}
+    count = request.trials
+    n = {s: count if s in request.splits else 0 for s in ("S0", "S1")}
     planned = {s: k for s, k in n.items() if k}
     error = replace(request.configuration.execution_error, seed=0)
     config = {"name": "default", "execution_error": asdict(error)}
-    more = {"seed": request.methods.seed, "stored": request.storage.kinds, "configuration": config}
+    more = {"seed": request.seed, "stored": list(request.stored), "configuration": config}
     header = make_header(0, 0, trials=planned, **more)
     trials = made_trials(n["S0"], n["S1"])
     return Setting(
-        FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids],
-        chunk=request.work.chunk or CPU_CHUNK, part=request.work.part,
-    )  # fmt: skip
+        FakeEvaluator(), header, lambda first, last: torch.arange(first, last), lambda ids: trials[ids], request
+    )
 
 
 def best(trials, scene, *, seed):

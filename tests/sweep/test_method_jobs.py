@@ -3,6 +3,7 @@
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from r2h_batch.runs.provenance import file_digest
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
-from r2h_batch.sweep.request import Methods
+from r2h_batch.sweep.request import Sweep
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 
@@ -26,13 +27,13 @@ def bench():
 
 
 def names(bench, **given) -> list[str]:
-    return [j.name for j in jobs.make_jobs(Methods(**given), [], bench)]
+    return [j.name for j in jobs.make_jobs(replace(bench, sweep=Sweep(**given)), [])]
 
 
 def test_a_users_network_is_named_and_reaches_contact_alone(bench, tmp_path, monkeypatch):
     (tmp_path / "my_net.py").write_text("def half(grid):\n    return 0.5 * grid[:, 0]\n")
     monkeypatch.syspath_prepend(tmp_path)
-    given = jobs.make_jobs(Methods(("fc", "contact"), predictor="my_net:half"), [], bench)
+    given = jobs.make_jobs(replace(bench, sweep=Sweep(method=("fc", "contact"), predictor="my_net:half")), [])
     assert [j.name for j in given] == ["FC-Handover (oracle hand + noise)", "Contact-Handover (my_net:half + noise)"]
     contact = {"file": "my_net:half", "sha256": file_digest([tmp_path / "my_net.py"])}
     assert json.loads(given[1].source["predictors"])["contact"] == contact
@@ -42,12 +43,12 @@ def test_the_learned_method_says_what_it_learned_from_and_its_weights_are_part_o
     weights = (DOCS.parent / "assets" / "ranker" / "ranker.safetensors").read_bytes()
     (tmp_path / "mine.safetensors").write_bytes(weights)
     words = ("learned", f"learned,weights={tmp_path}/mine.safetensors")
-    shipped, mine = jobs.make_jobs(Methods(words), [], bench)
+    shipped, mine = jobs.make_jobs(replace(bench, sweep=Sweep(method=words)), [])
     assert shipped.name == "Learned (ranker, oracle labels + noise)" and "weights=" in mine.name
     assert shipped.source["trained on"] == mine.source["trained on"]
     assert shipped.source["trained on"].endswith(" and 76 more objects")
     (tmp_path / "mine.safetensors").write_bytes(weights[:-4] + b"\0\0\0\0")
-    (other,) = jobs.make_jobs(Methods(words[1:]), [], bench)
+    (other,) = jobs.make_jobs(replace(bench, sweep=Sweep(method=words[1:])), [])
     assert len({j.source["sha256"] for j in (shipped, mine, other)}) == 3
     header = {"seed": 0, "predictors": {"noise_factor": 1.0}}
     assert jobs.job_of_run(header, shipped.source, bench.evaluator).name == shipped.name
@@ -102,7 +103,7 @@ def test_a_users_method_takes_a_seed_or_none(bench, tmp_path, more, trials_of_si
         "    T = torch.eye(4).repeat(len(trials), 1, 1)\n"
         "    return T, T\n"
     )
-    (job,) = jobs.make_jobs(Methods((f"{file}:predict",), seed=11), [], bench)
+    (job,) = jobs.make_jobs(replace(bench, sweep=Sweep(method=(f"{file}:predict",), seed=11)), [])
     answer = job.predict(bench.evaluator.benchmark.trials(trials_of_six, splits="S0"), None)
     assert len(answer) == trials_of_six
     module = next(m for m in list(sys.modules.values()) if getattr(m, "__file__", None) == str(file))
@@ -113,7 +114,7 @@ def test_a_method_of_other_arguments_is_refused_with_what_it_takes(bench, tmp_pa
     (tmp_path / "mine.py").write_text("def predict(trials):\n    return trials\n")
     takes = r"the function takes \(trials, scene\), or \(seen\) with --sees, and seed if it draws numbers"
     with pytest.raises(UsageError, match=takes):
-        jobs.make_jobs(Methods((f"{tmp_path}/mine.py:predict",)), [], bench)
+        jobs.make_jobs(replace(bench, sweep=Sweep(method=(f"{tmp_path}/mine.py:predict",))), [])
 
 
 WRONG = """
@@ -174,5 +175,5 @@ def test_what_a_method_was_trained_on_stands_in_tables_and_comparisons(tmp_path,
 def test_a_method_is_not_judged_on_what_it_was_trained_on(bench, tmp_path, told, said):
     (tmp_path / "cheat.py").write_text(LEARNED.format(told))
     with pytest.raises(UsageError, match=re.escape(said)) as error:
-        names(bench, names=(f"{tmp_path}/cheat.py:predict",))
+        names(bench, method=(f"{tmp_path}/cheat.py:predict",))
     assert "\n" not in str(error.value)

@@ -10,10 +10,9 @@ from rounds import each
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.config import MADE_BY, EvalConfig, ObjectErrors
-from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.options import Flags, Options, check, load_config, parse
-from r2h_batch.sweep.request import TrialPlan, requested
+from r2h_batch.sweep.request import Sweep, requested
 from r2h_batch.sweep.settings import ELSEWHERE, SHORT, configured, flag_of, settings, value_of
 
 
@@ -143,7 +142,7 @@ def test_a_preset_stays_what_it_is_but_for_what_is_given(preset):
     planned = dataclasses.replace(of_preset.estimate, factor=2.0, seed=4)
     estimated = of_preset.plan.hand == "estimated"
     assert seen.configuration.estimate == (planned if estimated else type(planned)())
-    assert seen.methods.errors == of_preset.estimate.errors  # methods see them whatever the planner does
+    assert seen.errors == of_preset.estimate.errors  # methods see them whatever the planner does
 
 
 def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_command_line(tmp_path):
@@ -273,11 +272,11 @@ def test_objects_of_a_command_line_say_how_many_trials_they_get(trials):
     cup = next(o for o in usual.objects if o.split == "S0")
     added = [dataclasses.replace(cup, name=name) for name in ("mug", "jar")]
     benchmark = dataclasses.replace(usual, objects=(*usual.objects, *added))
-    plan = TrialPlan(BenchmarkChoice(object_mesh=("mug.obj", "jar.obj")), ("S0", "S1"), trials)
+    plan = Sweep(object_mesh=("mug.obj", "jar.obj"), trials=trials or 500)
     line = plan.shares(benchmark, {"S0": trials, "S1": trials})
     drawn = benchmark.trials(trials).object_index
     for place, model in enumerate(benchmark.objects[-2:], len(usual.objects)):
         own = int((drawn == place).sum())
         assert f"{model.name} gets {own or 'none'} of {trials} trials of S0" in line
     assert "--objects FOLDER" in line
-    assert TrialPlan(BenchmarkChoice(), ("S0",), 8).shares(usual, {"S0": 8}) == ""
+    assert Sweep(splits=("S0",), trials=8).shares(usual, {"S0": 8}) == ""
