@@ -1,7 +1,7 @@
 """Object families: Table I of r2h-v2, the turn test, the order of the methods, how many instances they need, the contact
 network against exact maps, and what 96 objects cost: docs/results/families.md.
 
-`python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned (`--sim
+`python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned (`--execute.sim
 none`). `--counted` counts the spreads again, from the rows that ship with the package.
 """
 
@@ -50,7 +50,7 @@ SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact"
 """`Learned` is short already."""
 TRIALS, SOME, FEW = 500, 240, 120
 """Trials of each split: of Table I, of a turn test, of another configuration."""
-V1, V2 = ("--benchmark", "r2h-v1", "--sim", "none"), ("--benchmark", "r2h-v2", "--sim", "none")
+V1, V2 = ("--benchmark", "r2h-v1", "--execute.sim", "none"), ("--benchmark", "r2h-v2", "--execute.sim", "none")
 OTHERS = {
     "preset paper": ("--preset", "paper"),
     "preset release": ("--preset", "release"),
@@ -297,9 +297,7 @@ def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
         names = np.array([o.name for o in objects])
         maps = np.stack([contact_map(o, people_hand()) for o in objects])
         np.savez_compressed(file, object=names, probability=maps, source=np.array("exact maps"))
-    exact = swept(
-        place / "exact", "--method", "contact", "--trials", trials, *V2, "--set", f"predicted_contacts={file}"
-    )
+    exact = swept(place / "exact", "--method", "contact", "--trials", trials, *V2, "--predicted-contacts", file)
     found: dict[str, Any] = {}
     for name, folder in (("network", v2), ("exact", exact)):
         run = load_run(folder)
@@ -314,7 +312,7 @@ def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
 
 
 def as_planned() -> "EvalConfig":
-    """The configuration of `--sim none`."""
+    """The configuration of `--execute.sim none`."""
     from r2h_batch.config import EvalConfig, ExecConfig
 
     return EvalConfig(execute=ExecConfig(sim="none"))

@@ -11,7 +11,7 @@ OWN = {"fc": "hand", "handover-va": "ik", "contact": "none", "intent": "none"}
 """Method -> the gate of its row in Table I."""
 GATES = ("none", "ik", "hand")
 TRIALS = 240
-FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
+FLAGS = ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses")
 MEASURES = (
     *("bench/gates.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(

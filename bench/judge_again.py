@@ -55,7 +55,7 @@ SETS = {
     "panda": [*V1, "--robot", "panda_hand"],
     "ur10e": [*V1, "--robot", "ur10e_2f85"],
     "release": ["--preset", "release", "--benchmark", "r2h-release"],
-    "error": [*V1, "--set", "execution_error=5mm,1deg"],
+    "error": [*V1, "--execution-error", "5mm,1deg"],
     "reception": V1,
     "closed": V1,
 }
@@ -177,7 +177,7 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
         *METHODS,
         "--trials",
         str(trials),
-        "--sim",
+        "--execute.sim",
         "none",
         "--save-paths",
         "--quiet",

@@ -26,7 +26,7 @@ WORDS = {"all_categories": "contact", "other_categories": "contact,contacts=othe
 SHIPPED = "r2h_batch/report/compare/rows/r2h-v2-as-planned"
 OTHERS = ("fc", "handover-va", "intent", "learned")
 TRIALS = 500
-FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
+FLAGS = ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses")
 MEASURES = (
     *("bench/networks.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(

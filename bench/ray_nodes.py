@@ -148,9 +148,7 @@ def said(report: Report, name: str, process: subprocess.Popen[str], out: Path) -
 
 
 def on(cluster: Cluster, out: Path, given: argparse.Namespace) -> subprocess.Popen[str]:
-    return sweep(
-        out, given, "1/1", "--engine", "ray", "--address", cluster.address, "--set", "workers=2", "ray_timeout=15"
-    )
+    return sweep(out, given, "1/1", "--engine", "ray", "--address", cluster.address, "--workers", "2", "ray_timeout=15")
 
 
 def again(report: Report, name: str, cluster: Cluster, out: Path, given: argparse.Namespace) -> None:

@@ -199,7 +199,7 @@ def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
         "reach_mm": 1e3 * report["reach_m"],
         "offset": report.get("offset", ""),
     }
-    flags = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--sim", "none", "--quiet")
+    flags = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--execute.sim", "none", "--quiet")
     try:
         run = swept(out / f"{name}_run", "--robot", out / name, *flags)
     except SystemExit:  # what it refuses it has said

@@ -114,7 +114,7 @@ def beside(report: Report, path: Path, files: Path, folder: Path, args: argparse
     evaluation, planning, robot = release_modules(path)
     trials = [json.loads(f.read_text()) for f in trial_files(files)]
     flagged = trials[:: max(1, len(trials) // args.flags)]
-    line = ("--sim", "none", "--set", "width=whole")
+    line = ("--execute.sim", "none", "--width", "whole")
     quietly(sweep, "--trials-from", written(folder / "flagged", flagged), *line, "--out", folder / "flags")
     theirs = {t["id"]: evaluation.evaluate(thinned(t)) for t in flagged}
     agreement(report, "flags", rows_of(folder / "flags"), theirs)
@@ -288,14 +288,23 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         own, files = folder / "own", folder / "files"
-        line = ("--method", args.method, "--benchmark", args.benchmark, "--trials", args.trials, "--sim", "none")
+        line = (
+            "--method",
+            args.method,
+            "--benchmark",
+            args.benchmark,
+            "--trials",
+            args.trials,
+            "--execute.sim",
+            "none",
+        )
         quietly(sweep, *line, "--save-paths", "--out", own)
         report.add(
             "release.export.core_s",
             quietly(r2h_batch_main, "export", own, "--to", "r2handoversim", "--trials", args.trials, "--out", files),
         )
-        for name, more in (("given", []), ("replanned", ["--set", "replan=true"])):
-            quietly(sweep, "--trials-from", files, "--sim", "none", *more, "--out", folder / name)
+        for name, more in (("given", []), ("replanned", ["--replan"])):
+            quietly(sweep, "--trials-from", files, "--execute.sim", "none", *more, "--out", folder / name)
             stored = load_run(own)
             mine = {r["trial_id"]: r["outcome"] for r in stored.trials(stored.methods[0]).to_pylist()}
             back = {int(i.rsplit("_", 1)[1]): r["outcome"] for i, r in rows_of(folder / name).items()}

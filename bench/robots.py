@@ -106,7 +106,7 @@ def table(robot: str, trials: int, folder: Path) -> dict[str, dict[str, Any]]:
         *METHODS,
         "--trials",
         trials,
-        "--sim",
+        "--execute.sim",
         "none",
         "--quiet",
     )

@@ -41,7 +41,9 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
     out, trials = options.out, options.trials
     for level in LEVELS:
-        swept(out / level, "--method", *METHODS, "--trials", trials, "--sim", "none", "--execution-error", level)
+        swept(
+            out / level, "--method", *METHODS, "--trials", trials, "--execute.sim", "none", "--execution-error", level
+        )
     runs = [load_run(out / level) for level in LEVELS]
     found = robustness(runs)
     rates: dict[str, list[str]] = {}

@@ -50,7 +50,7 @@ WORDS = {
 AREAS: dict[str, Contacts] = {"contact": "left-out", UNSEEN: "other-categories"}
 COPIED = Path("runs/scans-objects")
 """The meshes of the sweep, relative to the checkout: no row says where on a machine a folder lies."""
-FLAGS = ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses")
+FLAGS = ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses")
 TRIALS = 180
 
 
@@ -137,7 +137,7 @@ See how the methods do on things of yours, and how far Table I tells it. In one 
 meshes of a folder: the same people, the same configuration.
 
     r2h-batch sweep --method random oracle fc handover-va contact {unseen} intent \\
-        --objects FOLDER --sim none --trials {trials} --out runs/mine
+        --objects FOLDER --execute.sim none --trials {trials} --out runs/mine
     r2h-batch report RUN --scans runs/mine    # RUN: the same methods on r2h-v2
 
 The second command adds the column to Table I, with its interval. Say a mesh's region in a file beside it

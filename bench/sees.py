@@ -115,7 +115,18 @@ def _sweep(folder: Path, words: str, methods: Iterable[str], trials: int, *more:
         sees = str(rig)
     own = ("--sees", sees) if sees else ()
     return swept(
-        folder, "--method", *methods, *own, "--sim", "none", "--trials", trials, "--threads", 1, "--quiet", *more
+        folder,
+        "--method",
+        *methods,
+        *own,
+        "--execute.sim",
+        "none",
+        "--trials",
+        trials,
+        "--threads",
+        1,
+        "--quiet",
+        *more,
     )
 
 

@@ -1,9 +1,9 @@
 """Effect of each choice on the default benchmark: the four methods with one choice changed at a time, docs/results/sensitivity.
 
 `python bench/sensitivity.py --out FOLDER` measures it and writes JSON and page (the same FOLDER goes on); `make tables` does too,
-and measures some of the choices on r2h-v1 for its page (docs/results/table1-v1-choices.json). Motion as planned (`--sim none`);
-each variant is one sweep. The paired test (`r2h-batch compare`) says which methods are apart in each, and the ranks how often
-their order is that of the base.
+and measures some of the choices on r2h-v1 for its page (docs/results/table1-v1-choices.json). Motion as planned
+(`--execute.sim none`); each variant is one sweep. The paired test (`r2h-batch compare`) says which methods are apart in each,
+and the ranks how often their order is that of the base.
 """
 
 import argparse
@@ -78,14 +78,14 @@ def variants(base: tuple[str, ...] = ()) -> list[Variant]:
     return [
         Variant("base", base),
         *others,
-        Variant("plan-hand estimated", (*base, "--plan-hand", "estimated")),
+        Variant("plan-hand estimated", (*base, "--plan.hand", "estimated")),
         Variant("candidates as generated", (*base, "--candidates", "as-generated")),
-        Variant("errors of frames", (*base, "--hand-errors", "frames")),
-        Variant("errors with tails", (*base, "--hand-errors", "tails")),
+        Variant("errors of frames", (*base, "--estimate.errors", "frames")),
+        Variant("errors with tails", (*base, "--estimate.errors", "tails")),
         Variant("no error", (*base, "--predictor-noise", "0")),
         Variant("error x 2", (*base, "--predictor-noise", "2")),
         receiver,
-        Variant("edges sampled", (*base, "--edge-check", "moveit")),
+        Variant("edges sampled", (*base, "--plan.edge-check", "moveit")),
         Variant("width of the whole object", (*base, "--width", "whole")),
         Variant("reach of the hull", (*base, "--reach", "hull")),
         Variant("preset paper", (*base, "--preset", "paper")),
@@ -176,7 +176,15 @@ def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequenc
     base_rates: dict = {}
     header: dict = {}
     for variant in (v for v in variants(base) if v.name in names or not names):
-        line = ["--method", *variant.methods, "--trials", str(trials), "--sim", "none", *(variant.flags or base)]
+        line = [
+            "--method",
+            *variant.methods,
+            "--trials",
+            str(trials),
+            "--execute.sim",
+            "none",
+            *(variant.flags or base),
+        ]
         folder = swept(place / re.sub("[ ,=]", "-", variant.name), *line)
         mine = rates_of(folder)
         base_rates, header = base_rates or mine, header or load_run(folder).header

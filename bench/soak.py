@@ -5,7 +5,7 @@
 flipped bits and full disks between.
 `python bench/soak.py calls --json bench/results/calls.json`: 100,000 calls of one row of each kind, a process for each.
 
-The sweeps use the real evaluator with `--sim none`. Rows are compared by the run's digest.
+The sweeps use the real evaluator with `--execute.sim none`. Rows are compared by the run's digest.
 """
 
 import argparse
@@ -60,7 +60,7 @@ def sweep(out: Path, given: argparse.Namespace, part: str = "1/1", *more: str) -
         "r2h_batch.sweep",
         "--method",
         "random",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         str(out),

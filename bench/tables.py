@@ -65,7 +65,7 @@ class Published:
 
 _SHIPPED, _LATER = Path("r2h_batch/report/compare/rows"), Path("r2h_batch/report/compare/later")
 _OTHERS, _PAPER = Path("bench/rows"), ("--preset", "paper")
-_V0, _V1 = ("--benchmark", "r2h-v0", "--sim", "mujoco"), ("--benchmark", "r2h-v1", "--sim", "mujoco")
+_V0, _V1 = ("--benchmark", "r2h-v0", "--execute.sim", "mujoco"), ("--benchmark", "r2h-v1", "--execute.sim", "mujoco")
 _RELEASE = ("--preset", "release")
 PUBLISHED = (
     Published("table1-v1", "Table I of r2h-v1", _V1, _OTHERS / "v1"),
@@ -88,19 +88,21 @@ PUBLISHED = (
         _OTHERS / "release-release-preset",
     ),
     Published("table1-v0", "Table I of r2h-v0", _V0, _OTHERS / "v0"),
-    Published("v1-as-planned", "", ("--benchmark", "r2h-v1", "--sim", "none", "--no-poses"), _OTHERS / "v1-as-planned"),
-    Published("r2h-v2", "", ("--benchmark", "r2h-v2", "--sim", "mujoco"), _SHIPPED / "r2h-v2"),
+    Published(
+        "v1-as-planned", "", ("--benchmark", "r2h-v1", "--execute.sim", "none", "--no-poses"), _OTHERS / "v1-as-planned"
+    ),
+    Published("r2h-v2", "", ("--benchmark", "r2h-v2", "--execute.sim", "mujoco"), _SHIPPED / "r2h-v2"),
     Published(
         "r2h-v2-as-planned",
         "",
-        ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses"),
+        ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses"),
         _SHIPPED / "r2h-v2-as-planned",
     ),
-    Published("r2h-v2-learned", "", ("--benchmark", "r2h-v2", "--sim", "mujoco"), _LATER / "r2h-v2", LEARNED),
+    Published("r2h-v2-learned", "", ("--benchmark", "r2h-v2", "--execute.sim", "mujoco"), _LATER / "r2h-v2", LEARNED),
     Published(
         "r2h-v2-as-planned-learned",
         "",
-        ("--benchmark", "r2h-v2", "--sim", "none", "--no-poses"),
+        ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses"),
         _LATER / "r2h-v2-as-planned",
         LEARNED,
     ),

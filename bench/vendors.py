@@ -139,7 +139,7 @@ def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[st
             "oracle",
             "--trials",
             trials,
-            "--sim",
+            "--execute.sim",
             "none",
             "--quiet",
         )

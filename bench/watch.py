@@ -172,7 +172,7 @@ def measured(figure: str, calls: dict[str, Any]) -> float:
     if figure == "sweep":
         with tempfile.TemporaryDirectory() as out:
             words = ["-m", "r2h_batch.sweep", "--benchmark", "r2h-v2", "--method", "random"]
-            words += ["--trials", str(n // 2), "--sim", "none"]
+            words += ["--trials", str(n // 2), "--execute.sim", "none"]
             return of_a_process([*words, "--out", f"{out}/run"]) / n
     if figure not in calls:
         call = work(figure)

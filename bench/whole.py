@@ -1,6 +1,6 @@
 """The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/results/whole.md.
 
-`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--sim none`), judges some rows again with other code,
+`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with other code,
 and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what is
 done, and started again it goes on with what is missing.
 """
@@ -109,7 +109,7 @@ def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
     before = float(kept.read_text()) if kept.exists() else 0.0
     begin = time.process_time()
     piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
-    more = ("--trials", trials, "--sim", "none", "--threads", 1, "--quiet", *piece)
+    more = ("--trials", trials, "--execute.sim", "none", "--threads", 1, "--quiet", *piece)
     swept(home / track, "--benchmark", "r2h-v3-draft", *TRACKS[track], *more)
     spent = before + time.process_time() - begin
     kept.write_text(repr(spent))
@@ -197,7 +197,18 @@ def _room(home: Path, mm: int) -> dict[str, int]:
     from r2h_batch.observe import believed_world
     from r2h_batch.runs.store import load_run
 
-    words = ("--sees", SEES, "--method", "learned", "--trials", ROOM_TRIALS, "--until", "present", "--sim", "none")
+    words = (
+        "--sees",
+        SEES,
+        "--method",
+        "learned",
+        "--trials",
+        ROOM_TRIALS,
+        "--until",
+        "present",
+        "--execute.sim",
+        "none",
+    )
     with mock.patch.object(believed_world, "ROOM_M", 1e-3 * mm):
         folder = swept(home / f"room-{mm}", "--benchmark", "r2h-v3-draft", *words, "--threads", 1, "--quiet")
     run = load_run(folder)
@@ -286,7 +297,7 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     giving = [[short[k], *(m["nobody"].get(r, 0) for r in nobody)] for k, m in methods.items() if m["nobody"]]
     ms = data["ms"]
     cost = [
-        ["a kinematic trial (`--sim none`, five criteria)", f"{ms['none']:.2f}"],
+        ["a kinematic trial (`--execute.sim none`, five criteria)", f"{ms['none']:.2f}"],
         ["with Pick, and the carry in place of the path from home", f"{ms['present']:.2f}"],
         ["and the reception of what got so far", f"{ms['received']:.1f}"],
     ]

@@ -92,8 +92,8 @@ for sign in (-1.0, 1.0):
 found, expected = (slope[:, :3, 3] * along).sum(1), (moved[1] - moved[0]) / 2
 assert expected.abs().max() > 5e-4 and (found - expected).abs().median() < 2e-5, (found, expected)
 
-said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
-said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion
+said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --execute.sim none --out run")
+said("sweep --method learned --trials 4 --execute.sim none --out learned")  # knows nothing of the new criterion
 (learned,) = (run := load_run("learned")).methods
 assert len(run.trials(learned)) == 8 and run.trials(learned)["passed_centred"].null_count < 8
 run = load_run("run")
@@ -263,8 +263,8 @@ from r2h_batch.types import Outcome
 
 assert verdicts.CRITERIA[5] == "upright" and Outcome.UPRIGHT == 6 and Outcome.INVALID_SIM == len(verdicts.EVERY) + 2
 OPEN = {"cup", "bowl", "wineglass"}
-said("sweep --benchmark r2h-v1 --method oracle random --trials 36 --sim none --save-paths --out run")
-said("sweep --method learned --trials 4 --sim none --out learned")  # knows nothing of the new criterion
+said("sweep --benchmark r2h-v1 --method oracle random --trials 36 --execute.sim none --save-paths --out run")
+said("sweep --method learned --trials 4 --execute.sim none --out learned")  # knows nothing of the new criterion
 line = "--regions 0 --items 1 --steps 2 --rounds 0 --out rank"
 with contextlib.redirect_stdout(io.StringIO()):
     assert main(["train", "rank", "--families", "cup x 1 seed 5", *line.split()]) == 0
@@ -366,7 +366,7 @@ SLOW = Share("Slow", "Motions that take more than 8 s, of those that came to res
 USE_SLOW = """
 import csv, json
 
-said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --sim none --out run")
+said("sweep --benchmark r2h-v1 --method oracle random --trials 12 --execute.sim none --out run")
 run = load_run("run")
 expected = {}
 for method in run.methods:
@@ -392,7 +392,7 @@ groups = {g["group"]: g for g in json.loads(said("compare run --format json"))}
 assert groups["S0"]["shares"]["oracle"]["slow"]["total"] == n and groups["S0"]["shares"]["oracle"]["slow"]["count"] == k
 assert "Slow" in said("compare run") and "Slow" in said("compare run --format latex")
 assert "slow_a" in said("compare run --format csv").splitlines()[0]
-said("sweep --benchmark r2h-v1 --method random --trials 12 --sim mujoco --out mine")
+said("sweep --benchmark r2h-v1 --method random --trials 12 --execute.sim mujoco --out mine")
 both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
 assert all("slow" in own for own in both.values()) and len(both) == 6 or len(both) == 7, both.keys()
 assert all(own["slow"]["total"] <= 12 for own in both.values())  # on the shared trials alone
@@ -424,7 +424,7 @@ from r2h_batch.trials.holding.instructions import instructions_of, understand
 
 def swept(objects, out):
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()) as err:
-        line = "--method oracle random --trials 4 --splits S1 --sim none --out"
+        line = "--method oracle random --trials 4 --splits S1 --execute.sim none --out"
         code = main(["sweep", "--objects", objects, *line.split(), out])
     return code, err.getvalue()
 
@@ -470,7 +470,7 @@ trials = near.trials_with_ids(ids)
 assert torch.equal(trials[7:9].T_world_hand, near.trials_with_ids(ids[7:9]).T_world_hand)
 assert near.digest != load_benchmark("r2h-v1").digest and near.label == trials.benchmark
 assert NAME in said("ls benchmarks")
-said(f"sweep --benchmark {NAME} --method random --trials 6 --sim none --out run")
+said(f"sweep --benchmark {NAME} --method random --trials 6 --execute.sim none --out run")
 assert load_run("run").header["digests"]["benchmark"] == near.digest
 said("results reevaluate run")
 """

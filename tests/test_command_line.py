@@ -91,7 +91,7 @@ def test_who_judges_waits_for_no_library_that_judging_does_not_need():
     [
         (["sweep", "--method", "random", "--robot", ""], "--robot has no value; write one, or leave --robot out"),
         (["sweep", "--method", "random", "--people="], "--people has no value"),
-        (["sweep", "--method", "random", "--set", "turn="], "--turn has no value"),
+        (["sweep", "--method", "random", "--turn", ""], "--turn has no value"),
         (["results", "rethreshold", "x", "--reach-radius", ""], "--reach-radius has no value"),
         (["report", ""], "an argument is empty"),
     ],

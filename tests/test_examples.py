@@ -92,7 +92,10 @@ def test_a_method_that_sees_grasps_the_cloud_and_hands_over_some_of_the_things(t
 
     method = f"seen={EXAMPLES / 'grasp_seen.py'}:predict"
     assert (
-        main(["--method", method, "--sees", "cell-v1", "--trials", "6", "--sim", "none", "--out", str(tmp_path)]) == 0
+        main(
+            ["--method", method, "--sees", "cell-v1", "--trials", "6", "--execute.sim", "none", "--out", str(tmp_path)]
+        )
+        == 0
     )
     outcomes = load_run(tmp_path).trials("seen")["outcome"].to_pylist()
     assert outcomes.count("success") >= 4 and "invalid_input" not in outcomes

@@ -8,7 +8,7 @@ import pytest
 
 from r2h_batch.__main__ import main
 
-SWEEP = ["sweep", "--method", "random", "--benchmark", "r2h-v1", "--sim", "none", "--quiet", "--out", "new"]
+SWEEP = ["sweep", "--method", "random", "--benchmark", "r2h-v1", "--execute.sim", "none", "--quiet", "--out", "new"]
 NUMBERS = ("-1", "nan", "1e400", "0x10", "\u0661", "1_0", "", "1 2", "10000000000000000000000000")
 WORDS = {
     "--trials": (*NUMBERS, "0"),

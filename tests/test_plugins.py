@@ -140,9 +140,10 @@ def run(*words):
     return code, out.getvalue() + err.getvalue()
 
 assert run("ls", "methods")[1].splitlines()[-1].split() == ["shifted", "acts:predict"]
-code, text = run("sweep", "--method", "shifted", "random", "--seed", "0", "--trials", "3", "--sim", "none", "--out", "run")
+more = ("--trials", "3", "--execute.sim", "none")
+code, text = run("sweep", "--method", "shifted", "random", "--seed", "0", *more, "--out", "run")
 assert code == 0, text
-assert run("sweep", "--method", "random", "--seed", "1", "--trials", "3", "--sim", "none", "--out", "other")[0] == 0
+assert run("sweep", "--method", "random", "--seed", "1", *more, "--out", "other")[0] == 0
 stored, other = load_run("run"), load_run("other")
 assert stored.methods == ("shifted", "random") and stored.entry("shifted").source["function"] == "acts:predict"
 assert stored.poses("shifted").equals(other.poses("random")) and not stored.poses("random").equals(other.poses("random"))

@@ -138,7 +138,7 @@ def test_a_run_of_a_built_in_robot_is_opened_without_saying_which(
         "random",
         "--trials",
         "2",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         run,

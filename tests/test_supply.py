@@ -82,7 +82,7 @@ def test_a_sweep_fetches_nothing_it_runs_with_the_network_cut_off(tmp_path: Path
         "random",
         "--trials",
         "1",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         str(tmp_path / "run"),

@@ -20,7 +20,7 @@ GONE = {
     "sweep --robustness": "sweep once with each --execution-error (docs/results/robustness.md)",
     "turn": "sweep with --turn into RUN-turned/half and RUN-turned/cycled, then compare RUN (docs/statistics.md#turn-test)",
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
-    "results held": "--set stability=physics of a sweep shakes each grasp in physics",
+    "results held": "--stability physics of a sweep shakes each grasp in physics",
     "import region": "say the receiver's region as parts, a plane or a file of faces: FILE.obj:S1:REGION (docs/your_data.md)",
     "observe export --believed": "a shard's pairs/ holds labelled pairs of the true object",
     "train rank --views": "train on the stream of new instances (leave --views out), and sweep with --sees",
@@ -43,6 +43,19 @@ GONE = {
     "benchmark check": "write ls benchmark FILE",
     "Benchmark.evaluator": "write r2h_batch.Evaluator(benchmark, PRESET, device=..., threads=...)",
     "Benchmark.baselines": "write r2h_batch.report.load_baselines(benchmark)",
+    "sweep --set": "write each option as its flag: --plan.edge-check moveit, --chunk 64; a file (--config) has the same names",
+    **{
+        f"sweep --{short}": f"write --{name.replace('_', '-')}, in a file {name}"
+        for short, name in {
+            "sim": "execute.sim",
+            "sim-model": "execute.model",
+            "edge-check": "plan.edge_check",
+            "plan-hand": "plan.hand",
+            "object-collision": "plan.object_collision",
+            "ik": "ik.solver",
+            "hand-errors": "estimate.errors",
+        }.items()
+    },
     "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
 }
 """A command with the word that went (`COMMAND`, `sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`,

@@ -142,7 +142,7 @@ DETAILS = (
     Column("width_m", FLOAT, "as in trials", "m"),
     _OPENING,
     Column("grasp_shift_m", FLOAT, "how far closing moves the object along y", "m"),
-    Column("slip_m", FLOAT, "slip of the object in the shake (`--set stability=physics`); null: not shaken", "m"),
+    Column("slip_m", FLOAT, "slip of the object in the shake (`--stability physics`); null: not shaken", "m"),
     _GOAL,
     Column("witness_plan_part", NAME, "robot part of Plan's smallest clearance"),
     Column("witness_safe_part", NAME, "robot part of Safe's smallest clearance"),
@@ -158,7 +158,7 @@ PATHS = (
     _TIMES,
     Column("q", POSTURES, "postures at these times", "rad", False),
     Column("executed_q", POSTURES,
-           "the simulated motion, from time 0 every `motion.sample_s` of run.json; null with `--sim none`", "rad"),
+           "the simulated motion, from time 0 every `motion.sample_s` of run.json; null with `--execute.sim none`", "rad"),
     Column("planned_q", POSTURES, "the plan behind a motion from a file; null: `q` is the plan", "rad"),
 )
 

@@ -258,7 +258,7 @@ def _plan_passes(row: Mapping[str, Any], by: str | None) -> str:
     if reason == "start_in_collision":
         return "a home posture that is free"
     if reason == "no_path_in_budget":
-        return "a path to the target, which is free itself: another target, or a longer search (--set plan.rounds)"
+        return "a path to the target, which is free itself: another target, or a longer search (--plan.rounds)"
     return {
         "not_settled": "a motion that comes to rest at its goal",
         "motion_in_collision": "a motion that meets nothing" + (f": it is {by} in" if by else ""),

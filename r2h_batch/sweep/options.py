@@ -1,4 +1,4 @@
-"""The options of a sweep: flags, `--set NAME=VALUE` and a YAML file. Imports nothing heavy.
+"""The options of a sweep: flags, and a YAML file with fields of the same names. Imports nothing heavy.
 
 Settings of the configuration are in `settings`: a dotted name is a field of `EvalConfig`."""
 
@@ -63,6 +63,7 @@ GROUPS = {
     "methods": "what methods see, answers from files",
     "trials": "objects, people, hands, trials of your own",
     "closed loop": "a hand that moves, a policy that reacts",
+    "errors": "camera and object are not where they are said to be",
     "output": "table, run folder, loggers",
     "work": "threads, chunks, job arrays, a Ray cluster",
 }
@@ -213,6 +214,22 @@ class Flags:
             "methods",
         ),
     ] = ""
+    object_errors: Annotated[
+        str,
+        Flag(
+            "how far off methods see the object, per axis: none, lab (2 mm, 1 degrees), field (5 mm, 4 degrees), rgb (10 mm, 8 "
+            "degrees), or such as 7mm,3deg; all methods, also oracle and files of poses. Gross errors: --object-errors.gross",
+            "errors",
+        ),
+    ] = ""
+    execution_error: Annotated[
+        str,
+        Flag(
+            "what the executed poses miss by. 5mm,1deg: camera and object err in every trial; camera:5mm,1deg or "
+            "object:5mm,1deg: one of both; bias:5mm,1deg: one error of the camera for all trials; two with + between them",
+            "errors",
+        ),
+    ] = ""
     predicted_hands: Annotated[
         str,
         Flag(
@@ -299,16 +316,6 @@ class Options(Flags):
 
     settings: Mapping[str, Any] = field(default_factory=dict)
 
-    @property
-    def execution_error(self) -> bool:
-        """Whether it gives a setting of the executed errors."""
-        return any(name.startswith("execution_error.") for name in self.settings)
-
-    @property
-    def object_errors(self) -> bool:
-        """Whether it gives a setting of the errors with which methods see the object."""
-        return any(name.startswith("object_errors.") for name in self.settings)
-
 
 def help_text(prog: str) -> str:
     """The flags that everybody needs, and the names of the other groups: one screen."""
@@ -337,15 +344,17 @@ def full_help(prog: str) -> str:
     name, words = SETTINGS_GROUP
     lines += ["", f"{name} ({words}):", *_columns(described())]
     config = (
-        ("--config FILE", "a YAML file with any option by name; a flag wins over it"),
-        ("--set NAME=VALUE ...", "any option by name: plan.edge_check=moveit chunk=64"),
+        (
+            "--config FILE",
+            "a YAML file with any option by its name, such as plan.edge_check: moveit; a flag wins over it",
+        ),
         ("--help, --help-all", "the first flags, or all"),
     )
     return "\n".join([*lines, "", "this list:", *_columns(config)]) + "\n"
 
 
 def _usage(prog: str) -> str:
-    return f"usage: {prog} [--config FILE] [--set NAME=VALUE] [FLAGS]"
+    return f"usage: {prog} [--config FILE] [FLAGS]"
 
 
 def _flags() -> dict[str, tuple[Any, Flag]]:
@@ -425,8 +434,7 @@ EXCLUDED = (
 
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
-    from r2h_batch.config import EvalConfig
-    from r2h_batch.sweep.settings import configured
+    from r2h_batch.sweep.settings import configuration
 
     if not (options.method or options.predictions or options.motions or options.trials_from):
         flags = "--predictions FILE, --motions FILE or --trials-from FILE"
@@ -453,10 +461,10 @@ def check(options: Options) -> Options:
     if not (math.isfinite(options.predictor_noise) and options.predictor_noise >= 0):
         words = "it must be 0 (the truth) or more, 1 is the default"
         raise UsageError(f"--predictor-noise is {options.predictor_noise}; {words}")
-    configuration = configured(EvalConfig.preset(options.preset), options.settings)
+    config = configuration(options)
     for name, others, why in EXCLUDED:
-        for other in others if getattr(options, name) else ():
-            if getattr(options, other):
+        for other in others if _is_given(options, name) else ():
+            if _is_given(options, other):
                 raise UsageError(f"{_flag(name)} {why}; leave {_flag(other)} out")
     if options.policy != Options.policy and not options.receiver_motion:
         words = "add --receiver-motion, such as moves or still"
@@ -477,7 +485,7 @@ def check(options: Options) -> Options:
         if getattr(options, name) and not any(m in users or ":" in m for m in bases):
             words = f"is seen by --method {', '.join(users)}; add one, or leave it out"
             raise UsageError(f"{_flag(name)} {words}")
-    if options.predicted_hands and configuration.plan.hand == "estimated":
+    if options.predicted_hands and config.plan.hand == "estimated":
         words = "paths are planned against the error model's hand or the true one"
         raise UsageError(f"--predicted-hands: {words}; add --plan.hand true")
     if not options.splits:
@@ -499,6 +507,11 @@ def check(options: Options) -> Options:
     return options
 
 
+def _is_given(options: Options, name: str) -> bool:
+    """Whether an option is given, or a setting of the section that has its name."""
+    return bool(getattr(options, name)) or any(k.startswith(f"{name}.") for k in options.settings)
+
+
 def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") -> Options:
     """The checked options of a command line.
 
@@ -512,14 +525,14 @@ def parse(arguments: Sequence[str], *, prog: str = "python -m r2h_batch.sweep") 
         raise SystemExit(0)
     from r2h_batch.sweep.settings import given_in
 
-    arguments, path, switched, given = _without_config(arguments, prog)
+    arguments, path = _without_config(arguments)
     file = Options() if path is None else load_config(Path(path))
     kind, flags = line_class(), [f.name for f in fields(Flags)]
-    default = kind(**{name: getattr(file, name) for name in flags} | switched)
-    more = ["--config", "--set", "--help-all"]
+    default = kind(**{name: getattr(file, name) for name in flags})
+    more = ["--config", "--help-all"]
     line = command_line.parse(kind, arguments, prog=prog, default=default, more_flags=more)
     values = {name: getattr(line, name) for name in flags}
-    settings = {**file.settings, **given, **given_in(line, arguments)}
+    settings = {**file.settings, **given_in(line, arguments)}
     return check(Options(**values, settings=settings))
 
 
@@ -533,7 +546,7 @@ def line_class() -> type:
 
 
 def load_config(path: Path) -> Options:
-    """Options from a YAML file with the flags' names as fields, settings as in `EvalConfig`.
+    """Options from a YAML file with the flags' names as fields, such as `plan.edge_check`.
 
     Raises:
         UsageError: a field is unknown or of another type; the message names it.
@@ -551,7 +564,7 @@ def load_config(path: Path) -> Options:
             given = given_in_file(data)
         except UsageError as error:
             raise UsageError(f"{path}: {error}") from None
-        _check_names(str(path), "field", data)
+        _check_names(str(path), data)
         text = json.dumps(data, default=str)
         options = pydantic.TypeAdapter(Flags).validate_json(text, strict=True)
         values = {k: _expanded(v) for k, v in asdict(options).items()}
@@ -569,20 +582,18 @@ def load_config(path: Path) -> Options:
     return Options(**values, settings=given)
 
 
-def _check_names(where: str, kind: str, names: Iterable[Any]) -> None:
-    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, flag_of, settings
+def _check_names(where: str, names: Iterable[Any]) -> None:
+    from r2h_batch.sweep.settings import elsewhere, settings
 
-    allowed = [*(f.name for f in fields(Flags)), *settings(), *SHORT, *IN_ONE_WORD]
+    allowed = [*(f.name for f in fields(Flags)), *settings()]
     for name in names:
         if name not in allowed:
             if told := gone(f"sweep --{str(name).replace('_', '-')}"):
                 raise UsageError(f"{where}: {told}")
             if how := elsewhere(str(name)):
-                raise UsageError(f"{where}: {name} is no {kind} of its own; {how}")
-            if told := gone(f"sweep {flag_of(str(name))}"):
-                raise UsageError(f"{where}: {told}")
+                raise UsageError(f"{where}: {name} is no field of its own; {how}")
             hint = nearest(str(name), allowed)
-            raise UsageError(f"{where}: unknown {kind} {name!r}{hint}; see --help-all")
+            raise UsageError(f"{where}: unknown field {name!r}{hint}; see --help-all")
 
 
 def _expanded(value: Any) -> Any:
@@ -592,64 +603,26 @@ def _expanded(value: Any) -> Any:
     return expand_home(value) if isinstance(value, str) else value
 
 
-def _without_config(
-    arguments: Sequence[str], prog: str
-) -> tuple[list[str], str | None, dict[str, bool], dict[str, Any]]:
-    """The command line with each `--set NAME=VALUE` and each synonym as a flag, without `--config FILE`;
-    FILE; what --set says of options that are true or false; the settings of --execution-error and --object-errors."""
-    from r2h_batch.sweep.settings import IN_ONE_WORD, SHORT, elsewhere, flag_of
+def _without_config(arguments: Sequence[str]) -> tuple[list[str], str | None]:
+    """The command line without `--config FILE`, and FILE."""
+    from r2h_batch.sweep.settings import elsewhere
 
     rest, path = list(arguments), None
     flags: list[str] = []
-    switched: dict[str, bool] = {}
-    errors: dict[str, Any] = {}
-    switches = [name for name, (kind, _) in _flags().items() if kind is bool]
-    short = {flag_of(name): flag_of(full) for name, full in SHORT.items()}
-    in_one_word = {flag_of(name): settings_of for name, settings_of in IN_ONE_WORD.items()}
     while rest:
         argument = rest.pop(0)
         name, equals, value = argument.partition("=")
-        if name.startswith("--"):
+        if name.startswith("--") and "." in name:
             name = name.replace("_", "-")
-            if "." in name and (how := elsewhere(name[2:].replace("-", "_"))):
+            if how := elsewhere(name[2:].replace("-", "_")):
                 raise UsageError(f"{name} is no flag of its own; {how}")
-        if name in short:
-            flags.append(short[name] + equals + value)
-            continue
-        if name not in ("--config", "--set", *in_one_word):
+        if name != "--config":
             flags.append(argument)
             continue
-        value = value if equals else rest.pop(0) if rest else ""
-        if name == "--config":
-            if not value:
-                raise UsageError("--config names no file")
-            path = value
-            continue
-        if name in in_one_word:
-            errors |= in_one_word[name](value)
-            continue
-        if value == "help":
-            sys.stdout.write(full_help(prog))
-            raise SystemExit(0)
-        chosen = [value]
-        while rest and not rest[0].startswith("-"):
-            chosen.append(rest.pop(0))
-        for setting in chosen:
-            option, equals, value = setting.partition("=")
-            if not equals:
-                raise UsageError(
-                    f"--set is {setting!r}; it must be NAME=VALUE, and --help-all has the names"
-                )
-            _check_names("--set", "option", [option])
-            if option in IN_ONE_WORD:
-                errors |= IN_ONE_WORD[option](value)
-            elif option not in switches:
-                flags.append(f"{flag_of(SHORT.get(option, option))}={value}")
-            elif value in ("true", "false"):
-                switched[option] = value == "true"
-            else:
-                raise UsageError(f"--set {option} is {value!r}; allowed are true, false")
-    return flags, path, switched, errors
+        path = value if equals else rest.pop(0) if rest else ""
+        if not path:
+            raise UsageError("--config names no file")
+    return flags, path
 
 
 GIVEN = (

@@ -12,7 +12,7 @@ from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError, ObjectE
 from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, spelled_out
-from r2h_batch.sweep.settings import configured
+from r2h_batch.sweep.settings import configuration
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -148,7 +148,7 @@ def requested(options: Options) -> Sweep:
     """
     loop = _loop(options)
     options, released = _with_trials(options)
-    config = configured(EvalConfig.preset(options.preset), options.settings)
+    config = configuration(options)
     return Sweep(
         **vars(options),
         configuration=_configuration(

@@ -1,25 +1,17 @@
 """Settings of the configuration on a command line. Their names and types are those of `EvalConfig`'s fields:
-`--plan.edge-check moveit`, `--set plan.edge_check=moveit`, and in a file `plan: {edge_check: moveit}`."""
+`--plan.edge-check moveit`, and in a file `plan.edge_check: moveit`. Errors have a word of their own."""
 
 import re
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import is_dataclass, replace
 from functools import cache, reduce
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from r2h_batch.base.errors import UsageError, nearest
 from r2h_batch.config import MADE_BY, OBJECT_ERRORS, EvalConfig, ExecutionError, ObjectErrors
 
-SHORT = {
-    "sim": "execute.sim",
-    "sim_model": "execute.model",
-    "edge_check": "plan.edge_check",
-    "plan_hand": "plan.hand",
-    "object_collision": "plan.object_collision",
-    "ik": "ik.solver",
-    "hand_errors": "estimate.errors",
-}
-"""Synonyms: short names of settings."""
+if TYPE_CHECKING:
+    from r2h_batch.sweep.options import Options
 
 ELSEWHERE = {
     "thresholds": "the benchmark has them; write thresholds into a benchmark.yaml",
@@ -28,6 +20,9 @@ ELSEWHERE = {
     "estimate.factor": "say --predictor-noise",
     "estimate.seed": "say --seed",
     "execution_error.seed": "say --seed",
+    "execution_error": "say --execution-error, such as camera:5mm,1deg",
+    "object_errors.translation_m": "say --object-errors, such as 5mm,4deg",
+    "object_errors.rotation_deg": "say --object-errors, such as 5mm,4deg",
     "object_errors.seed": "say --seed",
     "chunk": "say --chunk",
     "name": "say --preset",
@@ -77,7 +72,7 @@ def given_in(line: Any, arguments: Sequence[str]) -> dict[str, Any]:
 
     Args:
         line: what tyro read, with `line_fields`.
-        arguments: what it read from, synonyms replaced.
+        arguments: what it read from.
     """
     typed = {a.partition("=")[0].replace("_", "-") for a in arguments}
     names = [name for name in settings() if flag_of(name) in typed]
@@ -91,38 +86,18 @@ def value_of(config: EvalConfig, name: str) -> Any:
 
 
 def given_in_file(data: dict[str, Any]) -> dict[str, Any]:
-    """Take the settings out of the fields of a file: sections, dotted names, short names.
+    """Take the settings out of the fields of a file.
 
     Raises:
-        UsageError: one line about a field that is no setting, or a text of errors that cannot be.
+        UsageError: one line about a section of settings, which a file says one by one.
     """
-    found: dict[str, Any] = {}
-    sections = {name.partition(".")[0] for name in settings() if "." in name}
-    for name in list(data):
-        full = SHORT.get(name, name)
-        if name in sections and isinstance(data[name], dict):
-            for key, value in data.pop(name).items():
-                found[known(f"{name}.{key}", "field")] = value
-        elif name in IN_ONE_WORD and isinstance(data[name], str):
-            found |= IN_ONE_WORD[name](data.pop(name))
-        elif full in settings():
-            found[full] = data.pop(name)
+    sections = {name.partition(".")[0] for name in get_type_hints(EvalConfig)}
+    for name, value in data.items():
+        if name in sections and isinstance(value, dict):
+            field = f"{name}.{next(iter(value), 'FIELD')}"
+            raise UsageError(f"{name} is a section; write its fields on their own, as {field}: ...")
+    found = {name: data.pop(name) for name in list(data) if name in settings()}
     return {k: tuple(v) if isinstance(v, list) else v for k, v in found.items() if v != UNSAID}
-
-
-def known(name: str, kind: str) -> str:
-    """The name of a setting, written out.
-
-    Raises:
-        UsageError: another flag sets this field, or there is none.
-    """
-    name = SHORT.get(name, name)
-    if name in settings():
-        return name
-    if how := elsewhere(name):
-        raise UsageError(f"{name} is no setting of its own; {how}")
-    allowed = [*settings(), *SHORT]
-    raise UsageError(f"unknown {kind} {name!r}{nearest(name, allowed)}; see --help-all")
 
 
 def configured(config: EvalConfig, given: Mapping[str, Any]) -> EvalConfig:
@@ -149,42 +124,58 @@ def configured(config: EvalConfig, given: Mapping[str, Any]) -> EvalConfig:
     return config
 
 
-def error_settings(text: str) -> dict[str, Any]:
-    """The settings that `--execution-error` stands for: `5mm,1deg`, `camera:5mm,1deg`, `object:5mm,1deg`,
-    `bias:5mm,1deg`; empty for no errors.
+def configuration(options: "Options") -> EvalConfig:
+    """The preset of a sweep with its settings and errors.
 
     Raises:
-        UsageError: it is of another form, or an angle is above 180 degrees.
+        UsageError: one line about the first value that cannot be.
     """
-    number = r"(\d+\.?\d*|\.\d+)"
-    found = re.fullmatch(rf"(?:(camera|object|bias):)?{number}mm,{number}deg", text, re.ASCII)
-    if text and not found:
-        allowed = "5mm,1deg or camera:5mm,1deg, object:5mm,1deg, bias:5mm,1deg"
-        raise UsageError(f"--execution-error is {text!r}; it must be such as {allowed}")
-    part, *size = (found[1], float(found[2]) / 1000, float(found[3])) if found else ("", 0.0, 0.0)
-    camera = [0.0, 0.0] if part == "object" else size
-    held = [0.0, 0.0] if part in ("camera", "bias") else size
-    drawn: Literal["run", "trial"] = "run" if part == "bias" else "trial"
+    config = configured(EvalConfig.preset(options.preset), options.settings)
+    if options.execution_error:
+        config = replace(config, execution_error=execution_error(options.execution_error))
+    if options.object_errors:
+        m, deg = object_error_size(options.object_errors)
+        told = replace(config.object_errors, translation_m=m, rotation_deg=deg)
+        config = replace(config, object_errors=told)
+    return config
+
+
+def execution_error(text: str) -> ExecutionError:
+    """The errors that `--execution-error` says: `5mm,1deg` of camera and object; or of one of them (`camera:`, `object:`,
+    `bias:` for a camera that errs alike in all trials); several with `+` between them.
+
+    Raises:
+        UsageError: it is of another form, says one of them twice, or an angle is above 180 degrees.
+    """
+    allowed = "5mm,1deg or camera:5mm,1deg, object:5mm,1deg, bias:5mm,1deg, or two of these with + between them"
+    refused = f"--execution-error is {text!r}; it must be such as {allowed}"
+    camera, held = None, None
+    drawn: Literal["run", "trial"] = "trial"
+    for word in text.split("+"):
+        found = re.fullmatch(rf"(?:(camera|object|bias):)?{_NUMBER}mm,{_NUMBER}deg", word, re.ASCII)
+        if not found:
+            raise UsageError(refused)
+        part, size = found[1], (float(found[2]) / 1000, float(found[3]))
+        if (part != "object" and camera) or (part in (None, "object") and held):
+            raise UsageError(refused)
+        if part != "object":
+            camera, drawn = size, "run" if part == "bias" else "trial"
+        if part in (None, "object"):
+            held = size
     try:
-        error = ExecutionError(camera[0], camera[1], drawn, held[0], held[1])
-    except ValueError as refused:
-        raise UsageError(f"--execution-error: {refused}") from None
-    return {
-        f"execution_error.{f.name}": getattr(error, f.name)
-        for f in fields(error)
-        if f.name != "seed"
-    }
+        return ExecutionError(*(camera or (0.0, 0.0)), drawn, *(held or (0.0, 0.0)))
+    except ValueError as error:
+        raise UsageError(f"--execution-error: {error}") from None
 
 
-def object_error_settings(text: str) -> dict[str, Any]:
-    """The settings that `--object-errors` stands for: a level of `OBJECT_ERRORS`, or such as `5mm,4deg`. Gross errors are
+def object_error_size(text: str) -> tuple[float, float]:
+    """Metres and degrees that `--object-errors` says: a level of `OBJECT_ERRORS`, or such as `5mm,4deg`. Gross errors are
     settings of their own.
 
     Raises:
         UsageError: it is of another form, or an angle is above 180 degrees.
     """
-    number = r"(\d+\.?\d*|\.\d+)"
-    found = re.fullmatch(rf"{number}mm,{number}deg", text, re.ASCII)
+    found = re.fullmatch(rf"{_NUMBER}mm,{_NUMBER}deg", text, re.ASCII)
     if not found and text not in OBJECT_ERRORS:
         allowed = f"allowed are {', '.join(OBJECT_ERRORS)}, or such as 5mm,4deg"
         raise UsageError(
@@ -192,17 +183,13 @@ def object_error_settings(text: str) -> dict[str, Any]:
         )
     size = (float(found[1]) / 1000, float(found[2])) if found else OBJECT_ERRORS[text]
     try:
-        errors = ObjectErrors(*size)
+        ObjectErrors(*size)
     except ValueError as refused:
         raise UsageError(f"--object-errors: {refused}") from None
-    return {f"object_errors.{k}": getattr(errors, k) for k in ("translation_m", "rotation_deg")}
+    return size
 
 
-IN_ONE_WORD: dict[str, Callable[[str], dict[str, Any]]] = {
-    "execution_error": error_settings,
-    "object_errors": object_error_settings,
-}
-"""Synonyms for several settings of a section: its name -> what a text such as `5mm,1deg` stands for."""
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
 
 
 # ---- help
@@ -211,31 +198,12 @@ IN_ONE_WORD: dict[str, Callable[[str], dict[str, Any]]] = {
 def described() -> list[tuple[str, str]]:
     """(Flag with its values, meaning and defaults) of each setting. The meaning is that of the docstrings of
     `config`."""
-    short = {full: name for name, full in SHORT.items()}
     rows = []
     for name, kind in settings().items():
         section, _, key = name.rpartition(".")
         owner: Any = get_type_hints(EvalConfig)[section] if section else EvalConfig
         words = _attributes(owner).get(key, "").rstrip(".")
-        more = f"; or {flag_of(short[name])}" if name in short else ""
-        rows.append((f"{flag_of(name)} {_values(kind)}", f"{words} ({_defaults(name)}){more}"))
-    levels = ", ".join(
-        f"{k} ({1000 * m:g} mm, {d:g} degrees)" for k, (m, d) in OBJECT_ERRORS.items() if m
-    )
-    rows.append(
-        (
-            f"{flag_of('object_errors')} TEXT",
-            f"how far off methods see the object, per axis: none, {levels}, or such as 7mm,3deg; all methods, also oracle and "
-            "files of poses. Gross errors: --object-errors.gross",
-        )
-    )
-    rows.append(
-        (
-            f"{flag_of('execution_error')} TEXT",
-            "all five execution_error settings at once. 5mm,1deg: camera and object err in every trial; camera:5mm,1deg or "
-            "object:5mm,1deg: one of both errs; bias:5mm,1deg: one error of the camera for all trials",
-        )
-    )
+        rows.append((f"{flag_of(name)} {_values(kind)}", f"{words} ({_defaults(name)})"))
     return rows
 
 

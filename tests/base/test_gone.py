@@ -12,7 +12,7 @@ def line_of(name: str) -> list[str]:
     """A command line that asks for an entry of `GONE`."""
     command, _, asked = name.partition(" ")
     if command == "--method":
-        return ["sweep", "--method", f"{asked}=1", "--sim", "none"]
+        return ["sweep", "--method", f"{asked}=1", "--execute.sim", "none"]
     return [command, *asked.split()]
 
 

@@ -129,7 +129,7 @@ def imported(folder, trials):
 
 def swept(source, out, *more):
     """The rows of a sweep over such files by their ids, and the run."""
-    done = in_process("--trials-from", source, "--sim", "none", "--set", "width=whole", *more, "--out", out)
+    done = in_process("--trials-from", source, "--execute.sim", "none", "--width", "whole", *more, "--out", out)
     assert done.returncode == 0, done.stderr
     run = load_run(out)
     return {run.labels[r["trial_id"]][0]: r for r in run.trials("r2handoversim").to_pylist()}, run
@@ -225,9 +225,9 @@ def test_objects_that_are_boxes_collide_box_by_box_with_preset_release_alone(tmp
     for k, (trial, line, collision) in enumerate(
         [
             (boxes, ["--preset", "release"], "pieces"),
-            (boxes, ["--sim", "none"], "hull"),
+            (boxes, ["--execute.sim", "none"], "hull"),
             (meshed, ["--preset", "release"], "hull"),
-            (boxes, ["--preset", "release", "--set", "object_collision=hull"], "hull"),
+            (boxes, ["--preset", "release", "--plan.object-collision", "hull"], "hull"),
         ]
     ):
         source = written(tmp_path / f"in{k}", [trial])

@@ -197,7 +197,7 @@ def test_a_sweep_tells_a_method_where_objects_rest_only_if_trials_begin_there(tm
         f"    torch.save(T_world_obj, {str(tmp_path / 'told.pt')!r})\n"
         "    return at_random(trials, scene, seed=seed)\n"
     )
-    line = ["--method", f"{code}:predict", "--trials", "2", "--sim", "none"]
+    line = ["--method", f"{code}:predict", "--trials", "2", "--execute.sim", "none"]
     for name in each(("r2h-v3-draft", "r2h-v2")):
         assert sweep([*line, "--benchmark", name, "--out", str(tmp_path / name)]) == 0
         told = torch.load(tmp_path / "told.pt")

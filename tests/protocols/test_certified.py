@@ -165,7 +165,7 @@ def test_a_file_is_read_as_it_was_written(again, tmp_path, monkeypatch):
 
 def test_a_sweep_says_how_many_trials_are_not_certified(draft, tmp_path, capsys):
     n = len(draft.own_certified.trial_id) // 2
-    line = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "random", "--sim", "none"]
+    line = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "random", "--execute.sim", "none"]
     assert sweep([*line, "--trials", "1", "--out", str(tmp_path / "a")]) == 0
     assert "not known to have a whole way" not in capsys.readouterr().err
     assert sweep([*line, "--trials", str(n + 1), "--splits", "S0", "--out", str(tmp_path / "b")]) == 0

@@ -48,7 +48,18 @@ from r2h_batch.verdicts import (
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 N = 8
-LINE = ["--benchmark", "r2h-v3-draft", "--method", "random", "oracle", "--trials", "4", "--sim", "none", "--save-paths"]
+LINE = [
+    "--benchmark",
+    "r2h-v3-draft",
+    "--method",
+    "random",
+    "oracle",
+    "--trials",
+    "4",
+    "--execute.sim",
+    "none",
+    "--save-paths",
+]
 
 
 @pytest.fixture(scope="module")

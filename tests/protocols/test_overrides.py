@@ -56,7 +56,7 @@ def score(out: Path, *flags: object) -> None:
         "r2h-v1",
         "--method",
         "random",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         out,

@@ -84,7 +84,7 @@ def test_a_file_of_answers_to_another_benchmark_is_refused_and_one_that_says_not
         file,
         "--trials",
         "2",
-        "--sim",
+        "--execute.sim",
         "none",
         "--benchmark",
         "r2h-v1",

@@ -1,7 +1,7 @@
 """Curves over the execution error, of runs made by hand."""
 
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from scipy import stats
 
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.intervals import BORROWED
-from r2h_batch.sweep.settings import configured, error_settings
+from r2h_batch.sweep.settings import execution_error
 from r2h_batch.types import Outcome
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
@@ -33,7 +33,7 @@ def solved():
 def runs(tmp_path_factory, solved):
     made = []
     for i, level in enumerate(LEVELS):
-        config = asdict(configured(EvalConfig(), error_settings(level)))
+        config = asdict(replace(EvalConfig(), execution_error=execution_error(level)))
         codes = np.where(solved[:, i].reshape(2, 120), SUCCESS, STABILITY)
         folder = tmp_path_factory.mktemp("runs") / level
         made.append(write_run(folder, dict(zip("ab", codes, strict=True)), 60, 60, configuration=config))

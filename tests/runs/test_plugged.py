@@ -196,7 +196,7 @@ def told(line):
         code = main(line.split())
     return code, out.getvalue(), err.getvalue()
 
-SWEEP = "sweep --benchmark r2h-v0 --method mine random --trials 24 --splits S0 --sim none --out run"
+SWEEP = "sweep --benchmark r2h-v0 --method mine random --trials 24 --splits S0 --execute.sim none --out run"
 """
 WITH = """
 said(SWEEP)

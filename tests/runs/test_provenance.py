@@ -196,7 +196,7 @@ def test_a_sweep_goes_on_after_a_change_that_decides_nothing_and_is_refused_afte
         "2",
         "--splits",
         "S0",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         "run",

@@ -46,20 +46,22 @@ class Sweep(NamedTuple):
 
     benchmark: str
     methods: tuple[str, ...]
-    flags: tuple[str, ...] = ("--sim", "none")
+    flags: tuple[str, ...] = ("--execute.sim", "none")
 
 
 SWEEPS = {
     FAMILIES: Sweep(FAMILIES, (*METHODS, "learned")),  # learned was trained for this benchmark
     "r2h-v1": Sweep("r2h-v1", ("random", "fc", "intent")),
-    "release": Sweep("r2h-release", ("random", "contact"), ("--sim", "none", "--preset", "release")),
+    "release": Sweep("r2h-release", ("random", "contact"), ("--execute.sim", "none", "--preset", "release")),
     "draft": Sweep("r2h-v3-draft", ("random", "oracle", "fc")),
-    "sees": Sweep(FAMILIES, ("robust", "learned"), ("--sim", "none", "--sees", "cell-v1,region=told")),
-    "closed": Sweep(FAMILIES, ("oracle",), ("--sim", "none", "--receiver-motion", "moves", "--policy", "servo")),
-    "physics": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--stability", "physics")),
+    "sees": Sweep(FAMILIES, ("robust", "learned"), ("--execute.sim", "none", "--sees", "cell-v1,region=told")),
+    "closed": Sweep(
+        FAMILIES, ("oracle",), ("--execute.sim", "none", "--receiver-motion", "moves", "--policy", "servo")
+    ),
+    "physics": Sweep(FAMILIES, ("random", "fc"), ("--execute.sim", "none", "--stability", "physics")),
     "mesh": Sweep(FAMILIES, ("random", "fc")),
-    "ur3e_2f85": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--robot", "ur3e_2f85")),
-    "panda_hand": Sweep(FAMILIES, ("random", "fc"), ("--sim", "none", "--robot", "panda_hand")),
+    "ur3e_2f85": Sweep(FAMILIES, ("random", "fc"), ("--execute.sim", "none", "--robot", "ur3e_2f85")),
+    "panda_hand": Sweep(FAMILIES, ("random", "fc"), ("--execute.sim", "none", "--robot", "panda_hand")),
 }
 CASES = (*ENGINES, "pose", "gradients", "redraws", *SWEEPS)
 PARTS = dict.fromkeys(ENGINES, "oracle") | {
@@ -115,7 +117,7 @@ def sweep_digests(
         "r2h-v0",
         "--trials",
         str(trials // 2),
-        "--sim",
+        "--execute.sim",
         sim,
     ]
     found = _rows(sim, line, methods, folder, NOT_COMPARED)

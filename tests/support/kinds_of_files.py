@@ -299,7 +299,7 @@ def robot_read(path: Path) -> object:
 
 
 def lab_table(path: Path) -> None:
-    """The table of `real export`, filled in; its run beside it."""
+    """The table of `export real`, filled in; its run beside it."""
     made_runs.write(path.parent / "run")
     rows = [(x, "m", "success", "", 4.5) for x in range(4)]
     head = "trial_id,method,outcome,failed_criterion,seconds"

@@ -143,7 +143,7 @@ def test_poses_get_the_same_rows_from_a_method_that_edits_its_trials_and_from_a_
         str(tmp_path / "p.npz"),
         "--trials",
         "4",
-        "--sim",
+        "--execute.sim",
         "none",
     ]
     try:

@@ -20,7 +20,18 @@ from r2h_batch.view.captions import title
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
-LINE = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "learned", "--trials", "4", "--sim", "none"]
+LINE = [
+    "--benchmark",
+    "r2h-v3-draft",
+    "--until",
+    "present",
+    "--method",
+    "learned",
+    "--trials",
+    "4",
+    "--execute.sim",
+    "none",
+]
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from r2h_batch.report.closed_loop import render
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main
 
-BASE = ["--benchmark", "r2h-v1", "--method", "random", "--trials", "1", "--sim", "none", "--quiet"]
+BASE = ["--benchmark", "r2h-v1", "--method", "random", "--trials", "1", "--execute.sim", "none", "--quiet"]
 
 
 def sweep(folder, *more):

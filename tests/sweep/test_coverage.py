@@ -29,7 +29,17 @@ def folder(tmp_path, monkeypatch):
 
 
 def sweep(folder, *more):
-    words = ["--objects", str(folder / "meshes"), "--splits", "S0", "--trials", "8", "--sim", "none", "--no-poses"]
+    words = [
+        "--objects",
+        str(folder / "meshes"),
+        "--splits",
+        "S0",
+        "--trials",
+        "8",
+        "--execute.sim",
+        "none",
+        "--no-poses",
+    ]
     return main([*words, "--out", str(folder / "run"), *more])
 
 

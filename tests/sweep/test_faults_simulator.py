@@ -34,9 +34,9 @@ def test_what_the_simulator_failed_on_is_invalid_in_the_table_and_stored_with_it
         "2",
         "--splits",
         "S0",
-        "--sim",
+        "--execute.sim",
         "mujoco",
-        "--sim-model",
+        "--execute.model",
         "arm",
     ]
     assert sweep.main([*line, "--out", str(tmp_path / "good"), "--format", "json"]) == 0
@@ -73,7 +73,7 @@ def test_a_gripper_closed_around_the_hand_is_a_collision_in_the_stored_rows(tmp_
         "4",
         "--splits",
         "S0",
-        "--sim",
+        "--execute.sim",
         "none",
     ]
     assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 0

@@ -73,7 +73,7 @@ def test_the_documented_example_is_a_method_and_runs(tmp_path, monkeypatch, caps
             "my_rules:predict",
             "--trials",
             "6",
-            "--sim",
+            "--execute.sim",
             "none",
             "--format",
             "json",
@@ -128,7 +128,16 @@ def predict(trials, scene):
 
 def test_a_sweep_says_in_which_convention_answers_pass(tmp_path, capsys):
     (tmp_path / "mine.py").write_text(WRONG)
-    line = ["--method", f"{tmp_path}/mine.py:predict", "--benchmark", "r2h-v0", "--trials", "5", "--sim", "none"]
+    line = [
+        "--method",
+        f"{tmp_path}/mine.py:predict",
+        "--benchmark",
+        "r2h-v0",
+        "--trials",
+        "5",
+        "--execute.sim",
+        "none",
+    ]
     assert sweep.main([*line, "--out", str(tmp_path / "run")]) == 0
     said = [text for text in capsys.readouterr().err.splitlines() if "rows fail" in text]
     assert len(said) == 1 and "mine.py:predict: all 10 rows fail" in said[0], said
@@ -148,7 +157,7 @@ def test_what_a_method_was_trained_on_stands_in_tables_and_comparisons(tmp_path,
         "random",
         "--trials",
         "12",
-        "--sim",
+        "--execute.sim",
         "none",
         "--benchmark",
         "r2h-v1",

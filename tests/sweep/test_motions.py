@@ -28,7 +28,7 @@ def planned(tmp_path_factory, request):
         robot,
         "--trials",
         TRIALS,
-        "--sim",
+        "--execute.sim",
         "none",
         "--save-paths",
     )
@@ -65,7 +65,7 @@ def judged(folder, file, out, *more):
         robot,
         "--trials",
         TRIALS,
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         folder / out,
@@ -133,7 +133,9 @@ def test_parquet_holds_the_same_motions(planned):
 def test_what_is_no_motions_file_is_one_line(planned, changes, words):
     folder, _, data = planned
     np.savez(folder / "bad.npz", **{k: v for k, v in {**data, **changes}.items() if v is not None})
-    done = in_process("--motions", folder / "bad.npz", "--trials", TRIALS, "--sim", "none", "--out", folder / "bad")
+    done = in_process(
+        "--motions", folder / "bad.npz", "--trials", TRIALS, "--execute.sim", "none", "--out", folder / "bad"
+    )
     assert done.returncode == 2 and words in done.stderr and "bad.npz" in done.stderr.splitlines()[-1]
 
 

@@ -9,11 +9,11 @@ import pytest
 from rounds import each
 
 from r2h_batch.base.errors import UsageError
-from r2h_batch.config import MADE_BY, EvalConfig, ObjectErrors
+from r2h_batch.config import MADE_BY, OBJECT_ERRORS, EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.protocols.load import load_benchmark
-from r2h_batch.sweep.options import Flags, Options, check, load_config, parse
+from r2h_batch.sweep.options import Flags, Options, check, full_help, load_config, parse
 from r2h_batch.sweep.request import Sweep, requested
-from r2h_batch.sweep.settings import ELSEWHERE, SHORT, configured, flag_of, settings, value_of
+from r2h_batch.sweep.settings import ELSEWHERE, configured, flag_of, settings, value_of
 
 
 def write(tmp_path, text):
@@ -48,27 +48,22 @@ def test_flags_win_over_the_file(tmp_path):
     assert parse([f"--config={path}", "--benchmark", "r2h-v1", "--method", "oracle"]).method == ("oracle",)
 
 
-def test_every_option_can_be_set_on_the_command_line(tmp_path, capsys):
-    path = write(tmp_path, "method: [random]\nchunk: 9\nno_poses: true\n")
-    options = parse(
-        ["--config", str(path), "--set", "chunk=8", "edge_check=moveit", "--set=no_poses=false", "--seed", "4"]
-    )
+def test_every_option_is_a_flag_and_a_switch_of_the_file_can_be_turned_off(tmp_path):
+    path = write(tmp_path, "method: [random]\nchunk: 9\nno_poses: true\nplan.edge_check: moveit\n")
+    options = parse(["--config", str(path), "--chunk=8", "--no-no-poses", "--seed", "4"])
     assert (options.chunk, options.no_poses, options.seed) == (8, False, 4)
     assert options.settings == {"plan.edge_check": "moveit"}
-    assert parse(["--benchmark", "r2h-v1", "--method", "random", "--chunk", "8"]).chunk == 8
     for line, part in (
-        ("chunks=8", "unknown option 'chunks', did you mean chunk?"),
-        ("chunk=many", "'many' is not a whole number"),
-        ("chunk", "it must be NAME=VALUE"),
-        ("verbose=yes", "--set verbose is 'yes'; allowed are true, false"),
-        ("robustness=true", "--set: sweep --robustness: r2h_batch 0.3 had it, this version has not; sweep once"),
+        ("--chunks=8", "unknown flag --chunks, did you mean --chunk?"),
+        ("--chunk=many", "'many' is not a whole number"),
+        ("--set=chunk=8", "sweep --set: r2h_batch 0.3 had it, this version has not; write each option as its flag"),
+        (
+            "--sim=none",
+            "sweep --sim: r2h_batch 0.3 had it, this version has not; write --execute.sim, in a file execute.sim",
+        ),
     ):
         with pytest.raises(UsageError, match=re.escape(part)):
-            parse(["--benchmark", "r2h-v1", "--method", "random", "--set", line])
-    with pytest.raises(SystemExit):
-        parse(["--set", "help"])
-    told = capsys.readouterr().out
-    assert "--plan.edge-check exact|moveit" in told and "--trials INT" in told
+            parse(["--benchmark", "r2h-v1", "--method", "random", line])
 
 
 # ---- settings of the configuration
@@ -97,37 +92,21 @@ def test_each_field_of_the_configuration_is_one_flag_of_its_name_or_is_set_elsew
     names = set(settings())
     rest = {name for name, _ in leaves(EvalConfig)} - names
     assert all(name in ELSEWHERE or name.partition(".")[0] in ELSEWHERE for name in rest)
-    assert set(SHORT.values()) <= names and not set(SHORT) & names
     assert not names & {f.name for f in dataclasses.fields(Flags)}  # one setting has one name in one place
 
 
 @pytest.mark.check
 @pytest.mark.parametrize("name", settings())
-def test_a_flag_a_word_of_set_and_a_field_of_a_file_change_that_field_alone(tmp_path, name):
+def test_a_flag_and_a_field_of_a_file_change_that_field_alone(tmp_path, name):
     hint, usual = settings()[name], value_of(EvalConfig(), name)
     value = other(hint, usual)
     given = {name: value}
     line = ["--benchmark", "r2h-v1", "--method", "random"]
     assert parse([*line, flag_of(name), *typed(value)]).settings == given
-    if not isinstance(value, tuple):
-        assert parse([*line, "--set", f"{name}={value}"]).settings == given
-    section, _, key = name.rpartition(".")
-    for fields in ({name: value}, {section: {key: value}} if section else {name: value}):
-        assert load_config(write(tmp_path, json.dumps({"method": ["random"], **fields}))).settings == given
+    assert load_config(write(tmp_path, json.dumps({"method": ["random"], name: value}))).settings == given
     changed = configured(EvalConfig(), given)
     different = [n for n, _ in leaves(EvalConfig) if value_of(changed, n) != value_of(EvalConfig(), n)]
     assert different == [name] and value_of(changed, name) == value
-
-
-@pytest.mark.parametrize("short", SHORT)
-def test_short_names_are_synonyms(tmp_path, short):
-    full = SHORT[short]
-    value = next(v for v in get_args(settings()[full]) if v not in ("auto", value_of(EvalConfig(), full)))
-    given = {full: value}
-    line = ["--benchmark", "r2h-v1", "--method", "random"]
-    for more in ([flag_of(short), value], [f"{flag_of(short)}={value}"], ["--set", f"{short}={value}"]):
-        assert parse([*line, *more]).settings == given
-    assert load_config(write(tmp_path, f'method: [random]\n{short}: "{value}"\n')).settings == given
 
 
 @pytest.mark.parametrize("preset", MADE_BY)
@@ -145,48 +124,54 @@ def test_a_preset_stays_what_it_is_but_for_what_is_given(preset):
     assert seen.errors == of_preset.estimate.errors  # methods see them whatever the planner does
 
 
-def test_errors_in_one_word_are_five_settings_and_the_seed_comes_from_the_command_line(tmp_path):
-    words = [
-        "--benchmark",
-        "r2h-v1",
-        "--method",
-        "random",
-        "--out",
-        "x",
-        "--seed",
-        "4",
-        "--execution-error",
-        "bias:5mm,1deg",
-    ]
-    error = requested(parse(words)).configuration.execution_error
-    assert (error.camera_m, error.camera_deg, error.camera_drawn, error.object_m, error.seed) == (0.005, 1, "run", 0, 4)
-    one_by_one = ["--execution-error.camera-m", "0.005", "--execution-error.camera-deg", "1"]
-    drawn = ["--execution-error.camera-drawn", "run"]
-    assert requested(parse([*words[:8], *one_by_one, *drawn])).configuration.execution_error == error
-    path = write(tmp_path, "method: [random]\nexecution_error: 5mm,1deg\n")
-    both = parse(["--config", str(path), "--execution-error", "object:2mm,1deg"])
-    assert both.settings["execution_error.camera_m"] == 0 and both.settings["execution_error.object_m"] == 0.002
+@pytest.mark.parametrize(
+    ("word", "error"),
+    [
+        ("5mm,1deg", ExecutionError(0.005, 1, "trial", 0.005, 1)),
+        ("camera:5mm,1deg", ExecutionError(0.005, 1)),
+        ("object:5mm,1deg", ExecutionError(0, 0, "trial", 0.005, 1)),
+        ("bias:5mm,1deg", ExecutionError(0.005, 1, "run")),
+        ("bias:5mm,1deg+object:2mm,.5deg", ExecutionError(0.005, 1, "run", 0.002, 0.5)),
+        ("object:2mm,.5deg+camera:5mm,1deg", ExecutionError(0.005, 1, "trial", 0.002, 0.5)),
+    ],
+)
+def test_a_word_says_all_of_the_executed_errors_and_the_seed_comes_from_the_command_line(word, error):
+    words = ["--benchmark", "r2h-v1", "--method", "random", "--out", "x", "--seed", "4", "--execution-error", word]
+    assert requested(parse(words)).configuration.execution_error == dataclasses.replace(error, seed=4)
 
 
-def test_a_level_of_object_errors_is_two_settings_and_gross_errors_are_settings_of_their_own(tmp_path):
+def test_errors_of_the_command_line_win_over_those_of_the_file(tmp_path):
+    path = write(tmp_path, "method: [random]\nexecution_error: 5mm,1deg\nout: x\n")
+    error = requested(
+        parse(["--config", str(path), "--execution-error", "object:2mm,1deg"])
+    ).configuration.execution_error
+    assert (error.camera_m, error.object_m) == (0, 0.002)
+
+
+def test_a_level_of_object_errors_is_a_word_and_gross_errors_are_settings_of_their_own(tmp_path):
     line = ["--method", "random", "--out", "x", "--seed", "4"]
 
     def errors(*words):
         return requested(parse([*line, *words])).configuration.object_errors
 
     sizes = {"lab": (0.002, 1.0), "field": (0.005, 4.0), "rgb": (0.010, 8.0), "7mm,3deg": (0.007, 3.0)}
+    shown = " ".join(full_help("sweep").split())
+    for level, (m, deg) in OBJECT_ERRORS.items():
+        assert not m or f"{level} ({1000 * m:g} mm, {deg:g} degrees)" in shown
     for level, (m, deg) in each(sizes.items()):
         assert errors("--object-errors", level) == ObjectErrors(m, deg, seed=4)
     assert errors("--object-errors", "none") == errors("--object-errors.gross-turn", "symmetry") == ObjectErrors()
     gross = ["--object-errors.gross", "0.1", "--object-errors.gross-turn", "symmetry"]
     assert errors(*gross) == ObjectErrors(gross=0.1, gross_turn="symmetry", seed=4)
-    assert errors("--set", "object_errors=rgb", "object_errors.gross=0.1") == ObjectErrors(0.01, 8.0, 0.1, seed=4)
+    assert errors("--object-errors", "rgb", "--object-errors.gross=0.1") == ObjectErrors(0.01, 8.0, 0.1, seed=4)
     both = errors("--object-errors=lab", "--execution-error", "5mm,1deg")
     assert both == ObjectErrors(0.002, 1.0, seed=4)
     path = write(tmp_path, "method: [random]\nobject_errors: field\nobject_errors.gross: 0.2\n")
     assert errors("--config", str(path)) == ObjectErrors(0.005, 4.0, 0.2, seed=4)
     with pytest.raises(UsageError, match="motions are judged as they are; leave --motions out"):
         parse(["--motions", "m.npz", "--out", "x", "--object-errors", "lab"])
+    with pytest.raises(UsageError, match="motions are judged as they are; leave --motions out"):
+        parse(["--motions", "m.npz", "--out", "x", "--object-errors.gross", "0.1"])
     with pytest.raises(UsageError, match="leave --object-errors out"):
         parse([*line, "--receiver-motion", "moves", "--object-errors", "lab"])
 
@@ -196,15 +181,18 @@ def test_a_level_of_object_errors_is_two_settings_and_gross_errors_are_settings_
     [
         (["--plan.edge-chek", "moveit"], "did you mean --plan.edge-check?; see --help-all"),
         (["--plan.edge-check", "sampled"], "--plan.edge-check is 'sampled'; allowed are exact, moveit"),
-        (["--sim", "mujco"], "--execute.sim is 'mujco', did you mean mujoco?"),
+        (["--execute.sim", "mujco"], "--execute.sim is 'mujco', did you mean mujoco?"),
         (["--execute.scale", "-1"], "--execute.scale is -1.0; it must be above 0"),
         (["--execute.scale", "1.1"], "--execute.scale is 1.1; it must be 1 or less"),
         (["--plan.seed", str(1 << 63)], f"--plan.seed is {1 << 63}; it must be below {1 << 63}: a seed of 64 bits"),
         (["--plan.rounds", "0"], "--plan.rounds[0] is 0; it must be 1 or more"),
-        (["--set", "plan.edge_chek=moveit"], "did you mean plan.edge_check?"),
-        (["--set", "thresholds.w_max_m=1"], "write thresholds into a benchmark.yaml"),
+        (["--thresholds.w-max-m=1"], "write thresholds into a benchmark.yaml"),
         (["--estimate.seed", "3"], "say --seed"),
         (["--execution-error", "5mm"], "it must be such as 5mm,1deg"),
+        (["--execution-error", "camera:5mm,1deg+bias:5mm,1deg"], "or two of these with + between them"),
+        (["--execution-error", "5mm,1deg+object:5mm,1deg"], "or two of these with + between them"),
+        (["--execution-error.camera-m", "1"], "say --execution-error, such as camera:5mm,1deg"),
+        (["--object-errors.translation-m", "1"], "say --object-errors, such as 5mm,4deg"),
         (["--object-errors", "feild"], "'feild', did you mean field?; allowed are none, lab, field, rgb, or such as"),
         (["--object-errors", "5mm,200deg"], "--object-errors: "),
         (["--object-errors.gross", "2"], "--object-errors.gross is 2.0; it must be 1 or less"),
@@ -219,10 +207,15 @@ def test_a_setting_that_cannot_be_is_one_line(words, part):
 @pytest.mark.parametrize(
     ("text", "part"),
     [
-        ("plan: {edge_chek: moveit}", "unknown field 'plan.edge_chek', did you mean plan.edge_check?"),
-        ("plan: {edge_check: sampled}", "--plan.edge-check is 'sampled'"),
-        ("execute: {scale: fast}", "--execute.scale is 'fast'; it must be a number"),
-        ("estimate: {seed: 3}", "say --seed"),
+        ("plan.edge_chek: moveit", "unknown field 'plan.edge_chek', did you mean plan.edge_check?"),
+        ("plan.edge_check: sampled", "--plan.edge-check is 'sampled'"),
+        ("execute.scale: fast", "--execute.scale is 'fast'; it must be a number"),
+        ("estimate.seed: 3", "say --seed"),
+        ("plan: {edge_check: moveit}", "plan is a section; write its fields on their own, as plan.edge_check: ..."),
+        (
+            "sim: none",
+            "sweep --sim: r2h_batch 0.3 had it, this version has not; write --execute.sim, in a file execute.sim",
+        ),
         ("plan: exact", "unknown field 'plan'"),
         ("robustness: true", "sweep --robustness: r2h_batch 0.3 had it, this version has not; sweep once"),
     ],

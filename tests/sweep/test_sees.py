@@ -76,7 +76,7 @@ def methods(tmp_path_factory):
 
 def swept(methods, out, *more, method="grab", sees="cell-v1", trials=5):
     return in_process(
-        "--method", f"{method}={methods / method}.py:predict", "--sees", sees, "--trials", trials, "--sim", "none",
+        "--method", f"{method}={methods / method}.py:predict", "--sees", sees, "--trials", trials, "--execute.sim", "none",
         "--out", out, *more,
     )  # fmt: skip
 
@@ -175,8 +175,8 @@ def test_methods_of_a_sweep_look_once_and_answer_as_they_do_alone(run, methods, 
         looked.clear()
         monkeypatch.setattr(seeing, "KEPT_TRIALS", kept)
         done = in_process(
-            "--method", f"grab={methods / 'grab.py'}:predict", "random", "--sees", "cell-v1", "--trials", 5, "--sim", "none",
-            "--out", tmp_path / f"{kept}",
+            "--method", f"grab={methods / 'grab.py'}:predict", "random", "--sees", "cell-v1", "--trials", 5,
+            "--execute.sim", "none", "--out", tmp_path / f"{kept}",
         )  # fmt: skip
         assert done.returncode == 0, done.stderr
         found = load_run(tmp_path / f"{kept}")
@@ -198,7 +198,7 @@ def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, m
     assert "differ in what their methods see (cell-v1, noise 1, " in error and "cell-v1, noise 0" in error
     assert "sweep both with the same --sees" in error and error.count("\n") == 1
     truth = tmp_path / "truth"
-    assert in_process("--method", "random", "--trials", 5, "--sim", "none", "--out", truth).returncode == 0
+    assert in_process("--method", "random", "--trials", 5, "--execute.sim", "none", "--out", truth).returncode == 0
     assert main(["compare", str(run.folder), str(truth)]) == 2
     assert "the truth): their trials cannot be paired" in capsys.readouterr().err
     again = swept(methods, run.folder, sees="cell-v1,noise=0")
@@ -246,7 +246,7 @@ def test_runs_of_before_the_option_are_seen_as_they_were():
 def test_options_of_the_method_reach_it(methods, tmp_path):
     done = in_process(
         "--method", f"high={methods}/grab.py:predict,height_m=0.2", "--sees", "cell-v1", "--trials", 1, "--splits", "S0",
-        "--sim", "none", "--out", tmp_path / "high",
+        "--execute.sim", "none", "--out", tmp_path / "high",
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     run = load_run(tmp_path / "high")

@@ -80,7 +80,7 @@ def test_one_process_two_ray_workers_and_three_parts_give_the_same_digest(tmp_pa
 def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
     found = {}
     for sim in ("auto", "none"):
-        flags = ["--sim", sim, "--out", tmp_path / sim]
+        flags = ["--execute.sim", sim, "--out", tmp_path / sim]
         done = in_process("--method", "random", "--trials", 3, *flags)
         assert done.returncode == 0, done.stderr
         run = load_run(tmp_path / sim)
@@ -95,7 +95,7 @@ def test_sim_chooses_the_engine_and_run_json_names_it(tmp_path):
 
 
 def test_object_errors_are_those_of_one_sweep_in_shards_of_files_and_again_and_others_are_not_paired(tmp_path):
-    line = ["--benchmark", "r2h-v1", "--method", "random", "--trials", 6, "--sim", "none"]
+    line = ["--benchmark", "r2h-v1", "--method", "random", "--trials", 6, "--execute.sim", "none"]
     off = [*line, "--object-errors", "rgb", "--object-errors.gross", "0.5"]
 
     def swept(name, *words):

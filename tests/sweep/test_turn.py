@@ -29,7 +29,7 @@ def by_x(trials, scene, *, seed, evaluator):
 
 
 TURNED = (*FRAMES, "20,40,-60")
-FEW = ("--trials", "28", "--splits", "S1", "--sim", "none", "--quiet")
+FEW = ("--trials", "28", "--splits", "S1", "--execute.sim", "none", "--quiet")
 
 
 def command(*words):
@@ -91,7 +91,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
 
 def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys, tmp_path):
     shutil.copytree(run / "run", tmp_path / "run")
-    few = ["--trials", "4", "--splits", "S1", "--sim", "none", "--quiet"]
+    few = ["--trials", "4", "--splits", "S1", "--execute.sim", "none", "--quiet"]
     for turn in FRAMES:
         out = tmp_path / "run-turned" / turn
         assert command("sweep", "--method", "intent", *few, "--turn", turn, "--out", out) == 0

@@ -65,7 +65,7 @@ def test_code_that_raises_while_it_is_imported_is_refused_in_one_line(
     monkeypatch.undo()  # the true set_up
     monkeypatch.chdir(place)
     (place / "uc_wrong.py").write_text(code)
-    line = ["--benchmark", "r2h-v1", "--method", "contact", "--trials", "3", "--sim", "none", "--out", "run"]
+    line = ["--benchmark", "r2h-v1", "--method", "contact", "--trials", "3", "--execute.sim", "none", "--out", "run"]
     assert sweep.main([*line, *flags]) == 2
     error = capsys.readouterr().err
     assert who in error and what in error and error.count("\n") == 1, error

@@ -19,7 +19,7 @@ def run(tmp_path_factory):
                 "random",
                 "--trials",
                 "5",
-                "--sim",
+                "--execute.sim",
                 "none",
                 "--out",
                 str(folder),

@@ -30,7 +30,7 @@ WANTED = ("grasp_collides", "out_of_reach", "no_straight_way")
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
     out = tmp_path_factory.mktemp("legs") / "run"
-    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "fc", "--trials", "9", "--sim", "none"]
+    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "fc", "--trials", "9", "--execute.sim", "none"]
     assert sweep([*line, "--out", str(out)]) == 0
     return Reader(out)
 

@@ -16,7 +16,7 @@ BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
 
 SHIPPED = Path(__file__).parent / "rows"
-"""Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--sim none`.
+"""Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--execute.sim none`.
 `make tables` scores them again."""
 
 LATER = Path(__file__).parent / "later"

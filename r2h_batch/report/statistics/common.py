@@ -61,7 +61,7 @@ def common_trials(
         if what := _differing(first, run, proven, across_robots):
             advice = "sweep both methods with the same version and options"
             if {first.folder, run.folder} & set(proven):
-                shipped = "stored rows have default options, with --sim mujoco and with --sim none"
+                shipped = "stored rows have default options, with --execute.sim mujoco and with --execute.sim none"
                 advice = f"{shipped}: sweep like that"
             if what.startswith("what"):
                 advice = "sweep both with the same --sees"

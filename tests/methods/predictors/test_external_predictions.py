@@ -135,7 +135,18 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     trials = load_benchmark("r2h-v1").trials(2)
     arrays = truth(scene, trials, predict_receiving)
     np.savez(tmp_path / "text2hoi.npz", **{k: v for k, v in arrays.items() if "target" not in k})
-    line = ["sweep", "--benchmark", "r2h-v1", "--method", "fc", "--trials", "2", "--sim", "none", "--predicted-hands"]
+    line = [
+        "sweep",
+        "--benchmark",
+        "r2h-v1",
+        "--method",
+        "fc",
+        "--trials",
+        "2",
+        "--execute.sim",
+        "none",
+        "--predicted-hands",
+    ]
     line.append(str(tmp_path / "text2hoi.npz"))
     assert main([*line, "--out", str(tmp_path / "run")]) == 0
     assert "FC-Handover (hand: text2hoi, target hand: oracle + noise)" in capsys.readouterr().out.replace("\n", " ")

@@ -35,7 +35,7 @@ def test_torchscript_is_refused_by_a_line_that_names_onnx_and_trust_code_by_anot
         archive.writestr("net/constants.pkl", b"")
         archive.writestr("net/code/__torch__.py", b"class Net(Module): ...")
     refused(tmp_path / "net.pt", "r2h_batch 0.3 read TorchScript", "export the network as ONNX (torch.onnx.export)")
-    line = ["--benchmark", "r2h-v1", "--method", "contact", "--trials", "1", "--sim", "none"]
+    line = ["--benchmark", "r2h-v1", "--method", "contact", "--trials", "1", "--execute.sim", "none"]
     assert sweep.main([*line, "--predictor", str(tmp_path / "net.pt")]) == 2
     assert "export the network as ONNX" in capsys.readouterr().err
     (tmp_path / "mine.yaml").write_text("trust_code: true\n")

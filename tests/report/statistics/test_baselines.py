@@ -56,7 +56,7 @@ def test_rows_that_came_later_are_of_the_same_trials_judged_alike(folder):
 
 def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_was_trained_on(tmp_path, capsys):
     """A user's own run of it is the stored one; a joined run's parts are found."""
-    line = ["--method", "learned", "--trials", "3", "--sim", "none", "--out", str(tmp_path / "mine")]
+    line = ["--method", "learned", "--trials", "3", "--execute.sim", "none", "--out", str(tmp_path / "mine")]
     assert sweep(line) == 0
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
@@ -66,7 +66,18 @@ def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_
     assert main(["compare", str(tmp_path / "mine"), "baselines"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "is given twice, and counted once" in text and "and 76 more objects. None of them is tested here." in text
-    other = ["--method", "random", "--seed", "3", "--trials", "4", "--sim", "none", "--out", str(tmp_path / "own")]
+    other = [
+        "--method",
+        "random",
+        "--seed",
+        "3",
+        "--trials",
+        "4",
+        "--execute.sim",
+        "none",
+        "--out",
+        str(tmp_path / "own"),
+    ]
     assert sweep(other) == 0
     capsys.readouterr()
     assert main(["compare", str(tmp_path / "own"), "baselines"]) == 0
@@ -129,7 +140,7 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
         "random",
         "--trials",
         "12",
-        "--sim",
+        "--execute.sim",
         "none",
         "--out",
         str(tmp_path / "mine"),

@@ -10,7 +10,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.reception import SCHEMA, render
 
-QUICK = ["--sim", "none", "--quiet"]
+QUICK = ["--execute.sim", "none", "--quiet"]
 
 
 @pytest.fixture(scope="module")

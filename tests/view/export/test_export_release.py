@@ -39,7 +39,7 @@ def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
     own = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
     for more in ([], ["--replan"]):
         out = written / f"run{len(more)}"
-        done = in_process("--trials-from", written / "files", "--sim", "none", *more, "--out", out)
+        done = in_process("--trials-from", written / "files", "--execute.sim", "none", *more, "--out", out)
         assert done.returncode == 0, done.stderr
         back = load_run(out)
         rows = {
@@ -93,7 +93,7 @@ def test_a_hands_mesh_decides_safe_where_its_posture_is_unknown(run, written):
         (written / "plain" / path.name).write_text(
             json.dumps({**json.loads(path.read_text()), "provenance": "somebody"})
         )
-    done = in_process("--trials-from", written / "plain", "--sim", "none", "--out", written / "skins")
+    done = in_process("--trials-from", written / "plain", "--execute.sim", "none", "--out", written / "skins")
     assert done.returncode == 0, done.stderr
     own = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
     back = load_run(written / "skins")
@@ -160,7 +160,7 @@ def test_a_trial_that_was_theirs_is_judged_exported_and_valid_with_its_id_and_it
         t["planned_joints"] = [t["executed_joints"][0], *t["executed_joints"][1::7], t["executed_joints"][-1]]
         theirs[t["id"]] = t
         (tmp_path / "in" / f"{t['id']}.json").write_text(json.dumps(t))
-    done = in_process("--trials-from", tmp_path / "in", "--sim", "none", "--out", tmp_path / "run")
+    done = in_process("--trials-from", tmp_path / "in", "--execute.sim", "none", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     run = (tmp_path / "run").rename(tmp_path / "moved")
     assert len(list(run.glob("imported-*"))) == 1
@@ -248,7 +248,7 @@ def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verd
 
 def test_compare_pairs_a_run_of_imported_trials_with_results_of_the_same_names(written, tmp_path, capsys):
     """With one trial's name missing, it refuses."""
-    done = in_process("--trials-from", written / "files", "--sim", "none", "--out", tmp_path / "mine")
+    done = in_process("--trials-from", written / "files", "--execute.sim", "none", "--out", tmp_path / "mine")
     assert done.returncode == 0, done.stderr
     results = json.loads((written / "files" / "results.json").read_text())
     results = [r for r in results if (written / "files" / f"{r['trial_id']}.json").is_file()]

@@ -56,5 +56,5 @@ def test_answers_made_of_them_alone_are_scored(folder, tmp_path, capsys):
     lines = map(str.strip, (folder / "README.md").read_text().splitlines())
     given = next(x for x in lines if x.startswith("r2h-batch sweep")).removeprefix("r2h-batch ")
     given = given.replace("mine.json", str(tmp_path / "mine.json")).split()
-    assert main([*given, "--sim", "none", "--out", str(tmp_path / "run")]) == 0
+    assert main([*given, "--execute.sim", "none", "--out", str(tmp_path / "run")]) == 0
     assert "mine" in capsys.readouterr().out
