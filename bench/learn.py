@@ -114,7 +114,6 @@ def trained(place: Path, seed: int, leave_out: Sequence[str], **other: Any) -> t
 
 def rates(evaluator: "Evaluator", trials: "Trials", found: "Predictions") -> dict[str, Any]:
     """SR of each split, first failures, and SR of each category, percent."""
-    from r2h_batch.scene.objects import category_of
     from r2h_batch.types import Outcome
 
     outcome = evaluator.score(found.T_obj_ee, found.T_world_ee, trials).outcome
@@ -127,7 +126,7 @@ def rates(evaluator: "Evaluator", trials: "Trials", found: "Predictions") -> dic
     of: dict[str, list[bool]] = defaultdict(list)
     for index, good in zip(trials.object_index.tolist(), won.tolist(), strict=True):
         model = evaluator.scene.objects[index]
-        of[category_of(model) or model.name].append(good)
+        of[model.who.category or model.name].append(good)
     return told | {"categories": {k: 100 * float(np.mean(v)) for k, v in of.items()}}
 
 
@@ -480,9 +479,8 @@ class Study:
 
     def folds(self) -> dict[str, Any]:
         """Networks that never saw some categories, on these alone."""
-        from r2h_batch.scene.objects import category_of
 
-        names = [category_of(o) for o in self.benchmark.objects]
+        names = [o.who.category for o in self.benchmark.objects]
         found: dict[str, Any] = {"folds": {}, "spent of folds": {}}
         for fold, out in enumerate(FOLDS[: self.options.folds]):
             path, found["spent of folds"][f"fold {fold}"] = trained(self.options.runs, 0, out)

@@ -15,7 +15,6 @@ from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.protocols.edit import edited
 from r2h_batch.report.table import record, table_of
 from r2h_batch.runs.store import load_run
-from r2h_batch.scene.objects import category_of
 from r2h_batch.verdicts import Outcome
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -99,7 +98,7 @@ def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_pat
 
     def found():
         (model,) = edited(BenchmarkChoice(benchmark="r2h-v2", objects=str(tmp_path))).objects
-        return category_of(model)
+        return model.who.category
 
     assert found() is None
     beside.write_text("category: hammer\n")

@@ -14,7 +14,6 @@ from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     INSTANCE_NAMES,
     ObjectModel,
-    category_of,
     checked_objects,
     load_objects,
 )
@@ -145,8 +144,7 @@ def refuse_tested(benchmark: Benchmark, found: Instances) -> None:
     tested = {_shape(o): o.name for o in load_objects([*BUILT_IN_NAMES, *INSTANCE_NAMES])}
     tested |= {_shape(o): o.name for o in benchmark.objects}
     for model in found:
-        own = model if model.turn is None else model.turn.own
-        if (name := tested.get(_shape(own))) is not None:
+        if (name := tested.get(_shape(model.who.own))) is not None:
             raise ValueError(
                 f"families has {model.name!r}, which is {name} of the objects that methods are tested with; learn from new"
                 ' instances, such as families="* x 8 seed 5"'
@@ -170,7 +168,7 @@ def split(
     """
 
     def category(one: Named) -> str | None:
-        return one.family.category if isinstance(one, Planned) else category_of(one)
+        return one.family.category if isinstance(one, Planned) else one.who.category
 
     def named(one: Named, pattern: str) -> bool:
         return fnmatchcase(one.name, pattern) or fnmatchcase(category(one) or "", pattern)

@@ -32,7 +32,6 @@ from r2h_batch.scene.objects import (
     load_objects,
     object_digest,
     stored_arrays_of,
-    stored_key,
 )
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
@@ -193,14 +192,14 @@ def candidate_table(scene: Scene) -> CandidateTable:
 
 @lru_cache(maxsize=256)
 def _candidates(model: ObjectModel, kind: CandidateKind, robot: Robot) -> Candidates:
-    if model.turn is not None:
-        before = _candidates(model.turn.own, kind, robot)
-        return replace(before, T_obj_ee=model.turn.poses(before.T_obj_ee))
+    if (turn := model.who.turn) is not None:
+        before = _candidates(turn.own, kind, robot)
+        return replace(before, T_obj_ee=turn.poses(before.T_obj_ee))
     filtered = kind == "filtered"
     if model.grasps is not None:  # a user's own: none left is the user's to know
         return (seat_grasps if filtered else own_grasps)(model, model.grasps, robot)
     stored, usual = _stored(kind), robot == carrier(None)
-    if f"{(own := stored_key(model))}/T_obj_ee" in stored and usual:
+    if f"{(own := model.who.key)}/T_obj_ee" in stored and usual:
         values = {k: stored[f"{own}/{k}"] for k in ("T_obj_ee", "width", "score", "part")}
         return Candidates(**values, region_m=np.full(len(values["width"]), np.nan, np.float32))
 

@@ -20,7 +20,7 @@ from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.methods.candidates import CandidateTable
 from r2h_batch.methods.predictors import TargetHand
 from r2h_batch.scene.bounds import outer_ball
-from r2h_batch.scene.objects import ObjectModel, has_frozen_frame
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.scene import Scene
 
@@ -221,7 +221,7 @@ def center_of(model: ObjectModel) -> Float64[NDArray[Any], "3"]:
     Of an object of r2h-v1 or r2h-release it is the centre of the box along the frame's axes. Of any other object it is the
     centre of the smallest ball that holds it, which turns with the object.
     """
-    if has_frozen_frame(model):
+    if model.who.has_frozen_frame:
         return (model.vertices.min(0).astype(np.float64) + model.vertices.max(0)) / 2
     ball = outer_ball(model.hull_vertices.astype(np.float64))
     return np.round(ball[:3], 6)  # the solver's last digits differ between machines

@@ -109,8 +109,8 @@ def resting_rotation(model: ObjectModel) -> Float64[np.ndarray, "3 3"]:
     Stable: the centre of mass lies above the hull of the lowest points. Most likely: the side on which a convex solid lands
     (Goldberg et al. 1999, as `trimesh.poses` computes it). A turned object rests as the one that it came from.
     """
-    if model.turn is not None:
-        own: Array = resting_rotation(model.turn.own) @ model.turn.R_new_own.T
+    if (turn := model.who.turn) is not None:
+        own: Array = resting_rotation(turn.own) @ turn.R_new_own.T
         return own
     hull = model.hull_vertices.astype(np.float64)
     if _stands(hull, np.asarray(model.com, np.float64)):

@@ -171,7 +171,7 @@ class Benchmark:
     def undrawn_digest(self) -> str:
         """The digest of the same trials drawn once and judged by all criteria, with the objects as they lie in their own
         files: what certificates are for."""
-        own = tuple(o if o.turn is None else o.turn.own for o in self.objects)
+        own = tuple(o.who.own for o in self.objects)
         return replace(self, objects=own, asks=ASKED_NAMES, certified=None)._digest
 
     @cached_property
@@ -204,7 +204,7 @@ class Benchmark:
             trial_id: (n,) ids.
         """
         certified = self.own_certified
-        if certified is not None and not any(o.turn for o in self.objects):
+        if certified is not None and not any(o.who.turn for o in self.objects):
             return certified.answers(trial_id)
         nothing = np.tile(np.eye(4, dtype=np.float32), (len(trial_id), 1, 1))
         return Answers(np.zeros(len(trial_id), bool), nothing, nothing)

@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -116,10 +116,16 @@ class ObjectModel:
     rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""
 
     category: str | None = None
-    """the family that it is an instance of"""
+    """the family that it was made by; `who` has it of any object"""
 
     turn: Turn | None = None
     """which object was turned to make this one (`turned`): its grasps are that one's, turned"""
+
+    @cached_property
+    def who(self) -> Who:
+        """Who it is, whatever it is called and however it lies: what is shipped of it, its family, and its own frame."""
+        by_words = (name for name, thing in THINGS.items() if self.words == thing)
+        return Who(self, _stored_name(self), self.category or next(by_words, None), self.turn)
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
@@ -142,6 +148,35 @@ class ObjectModel:
         import trimesh
 
         return trimesh.Trimesh(self.vertices.astype(np.float64), self.faces, process=False)
+
+
+@dataclass(frozen=True, eq=False)
+class Who:
+    """Who an object is.
+
+    Attributes:
+        model: the object.
+        key: the name by which its grasps and receiving hands are shipped; None: it is no built-in one. An object of S1 in
+            split S0 has others: `NAME_S0`.
+        category: the family that it is an instance of; None for an object of no family.
+        turn: how it came from another object; None: it lies in its own frame.
+    """
+
+    model: ObjectModel
+    key: str | None
+    category: str | None
+    turn: Turn | None
+
+    @property
+    def own(self) -> ObjectModel:
+        """The object in its own frame."""
+        return self.model if self.turn is None else self.turn.own
+
+    @property
+    def has_frozen_frame(self) -> bool:
+        """Whether it is, turned or not, one of r2h-v1 and r2h-release: how their meshes lie belongs to these protocols, and
+        methods may use it. The frame of any other object says nothing about it."""
+        return self.own.name in BUILT_IN_NAMES and self.own.who.key is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,12 +221,6 @@ def with_words(model: ObjectModel, category: str) -> ObjectModel:
     return replace(model, words=THINGS[category], roles=S0_ROLES.get(category), category=category)
 
 
-def category_of(model: ObjectModel) -> str | None:
-    """The family that an object is an instance of; None for an object of no family."""
-    by_words = (name for name, thing in THINGS.items() if model.words == thing)
-    return model.category or next(by_words, None)
-
-
 def stored_arrays_of(file: str, built_in: str) -> dict[str, NDArray[Any]]:
     """OBJECT/FIELD -> array of a stored file: that of the built-in objects in assets/`built_in`, and the families'."""
     return {**stored_arrays(built_in, file), **stored_arrays("families", file)}
@@ -215,16 +244,6 @@ def checked_objects(objects: Sequence[ObjectModel] | None) -> tuple[ObjectModel,
     if twice := [n for n in names if names.count(n) > 1]:
         raise ValueError(f"two objects are called {twice[0]!r}; give each its own name")
     return found
-
-
-def is_built_in(model: ObjectModel) -> bool:
-    """Whether this is the built-in object of its name, and not a user's file that is called the
-    same."""
-    if model.name not in BUILT_IN_NAMES and model.name not in INSTANCE_NAMES:
-        return False
-    (own,) = load_objects([model.name])
-    shape = ("vertices", "faces", "face_part", "receiver_face")
-    return model is own or all(np.array_equal(getattr(model, k), getattr(own, k)) for k in shape)
 
 
 def without_region(model: ObjectModel) -> ObjectModel:
@@ -269,31 +288,28 @@ def turned(model: ObjectModel, R: NDArray[np.float64]) -> ObjectModel:
 
 
 def stored_objects() -> dict[str, ObjectModel]:
-    """`stored_key` -> object: everything that grasps and receiving hands are shipped of."""
+    """`Who.key` -> object: everything that grasps and receiving hands are shipped of."""
     (bottle,) = load_objects(["bottle"])
     free = {"bottle_S0": without_region(bottle)}  # r2h-release hands it over freely
     return {o.name: o for o in load_objects(BUILT_IN_NAMES)} | free
 
 
-def stored_key(model: ObjectModel) -> str | None:
-    """The name by which grasps and receiving hands of an object are stored; None where it is not a
-    built-in one. An object of S1 in split S0 has others: `NAME_S0`."""
-    if is_built_in(model):
-        return model.name
-    if model.name not in BUILT_IN_NAMES:
+def _stored_name(model: ObjectModel) -> str | None:
+    """The name by which grasps and receiving hands of an object are stored: its shape decides, for a user's file may be called
+    the same."""
+    if model.name not in BUILT_IN_NAMES and model.name not in INSTANCE_NAMES:
         return None
     (own,) = load_objects([model.name])
-    free = without_region(own)
     shape = ("vertices", "faces", "face_part", "receiver_face")
-    same = all(np.array_equal(getattr(model, k), getattr(free, k)) for k in shape)
-    return f"{model.name}_S0" if same else None
 
+    def is_shape_of(stored: ObjectModel) -> bool:
+        return all(np.array_equal(getattr(model, k), getattr(stored, k)) for k in shape)
 
-def has_frozen_frame(model: ObjectModel) -> bool:
-    """Whether an object, turned or not, is one of r2h-v1 and r2h-release: how their meshes lie belongs to these protocols,
-    and methods may use it. The frame of any other object says nothing about it."""
-    own = model if model.turn is None else model.turn.own
-    return own.name in BUILT_IN_NAMES and stored_key(own) is not None
+    if model is own or is_shape_of(own):
+        return model.name
+    if model.name in BUILT_IN_NAMES and is_shape_of(without_region(own)):
+        return f"{model.name}_S0"
+    return None
 
 
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
@@ -467,7 +483,9 @@ def kept_object(key: str, make: Callable[[], ObjectModel]) -> ObjectModel:
 
 def _as_arrays(model: ObjectModel) -> dict[str, Any]:
     """Stored arrays of a built object."""
-    arrays = {k: np.asarray(v) for k, v in vars(model).items() if k not in SAID}
+    arrays = {
+        f.name: np.asarray(getattr(model, f.name)) for f in fields(model) if f.name not in SAID
+    }
     repair = np.array(json.dumps(asdict(model.repair) if model.repair else None))
     return {**arrays, "repair": repair}
 

@@ -168,10 +168,9 @@ def set_up(sweep: Sweep) -> Setting:
 def families_of(objects: Iterable["ObjectModel"]) -> dict[str, str]:
     """Category of the objects -> the module of its generator, where that is the user's and no entry point names it."""
     from r2h_batch.scene.families.family import FAMILIES
-    from r2h_batch.scene.objects import category_of
 
     found = {}
-    for category in {c for o in objects if (c := category_of(o)) is not None}:
+    for category in {c for o in objects if (c := o.who.category) is not None}:
         family = None if category in FAMILIES.declared else FAMILIES.known(category)
         module = "" if family is None else family.make.__module__
         found[category] = "" if module.startswith(f"{PACKAGE}.") else module
@@ -247,15 +246,15 @@ def prepare(
 
 def _about_object(model: "ObjectModel") -> dict[str, Any]:
     """The entry of run.json about an object: a repaired mesh with what was done, and what came of it."""
-    from r2h_batch.scene.objects import category_of, object_digest, stored_key
+    from r2h_batch.scene.objects import object_digest
 
     fields: dict[str, Any] = {
         "name": model.name,
         "split": model.split,
-        "built_in": stored_key(model) is not None,
+        "built_in": model.who.key is not None,
         "digest": object_digest(model),
     }
-    if (category := category_of(model)) is not None:
+    if (category := model.who.category) is not None:
         fields["category"] = category
     if any(entry.applies for entry in REGISTRY):
         fields["concerned"] = [e.name for e in REGISTRY if e.applies is None or e.applies(model)]

@@ -143,7 +143,7 @@ def test_a_family_of_the_users_is_named_by_its_module(monkeypatch):
     made = {"vase": SimpleNamespace(make=SimpleNamespace(__module__="my_vases"))}
     made["pot"] = SimpleNamespace(make=SimpleNamespace(__module__="r2h_batch.scene.families.vessels"))
     monkeypatch.setattr("r2h_batch.scene.families.family.FAMILIES", plugins.Registry("family", made))
-    objects = [SimpleNamespace(category=name, words=None) for name in ("vase", "pot", "pot")]
+    objects = [SimpleNamespace(who=SimpleNamespace(category=name)) for name in ("vase", "pot", "pot")]
     assert jobs.families_of(objects) == {"vase": "my_vases", "pot": ""}
 
 

@@ -23,7 +23,7 @@ from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, fill
 from r2h_batch.scene.families.family import FAMILIES, GLASS, NUMBERS, TURNS, Draw, Shape, family
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts, box
-from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, stored_key, turned
+from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, turned
 from r2h_batch.trials.holding.receiving import load_receiving
 
 REPORT = json.loads((resources.files("r2h_batch.assets.families") / "report.json").read_text())
@@ -40,7 +40,7 @@ def test_ninety_six_instances_are_shipped_category_first():
 def test_a_shipped_instance_is_one_closed_solid_with_named_parts_and_its_region(category):
     for model in each(load_objects([n for n in INSTANCE_NAMES if n.rpartition("_")[0] == category])):
         family, line = FAMILIES[category], REPORT[model.name]
-        assert object_digest(model) == line["digest"] and stored_key(model) == model.name
+        assert object_digest(model) == line["digest"] and model.who.key == model.name
         mesh = model.mesh
         assert mesh.is_watertight and mesh.is_winding_consistent and mesh.body_count == 1
         assert model.part_names == family.parts and model.split == family.split
@@ -100,7 +100,7 @@ def test_a_turned_object_keeps_its_grasps_and_receiving_hands_in_its_own_frame()
     assert np.allclose(new.T_obj_ee[:, :3], HALF_TURN @ own.T_obj_ee[:, :3], atol=1e-6)
     a, b = load_receiving([hammer]), load_receiving([other])
     assert np.allclose(b.T_obj_hand.numpy()[:, :3], HALF_TURN @ a.T_obj_hand.numpy()[:, :3], atol=1e-6)
-    assert stored_key(other) is None and object_digest(other) != object_digest(hammer)
+    assert other.who.key is None and object_digest(other) != object_digest(hammer)
 
 
 def test_new_instances_are_drawn_by_what_the_flag_says():

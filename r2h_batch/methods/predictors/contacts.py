@@ -28,9 +28,6 @@ from r2h_batch.scene.objects import (
     OBJECT_NAMES,
     VOXELS,
     ObjectModel,
-    category_of,
-    has_frozen_frame,
-    is_built_in,
     object_digest,
 )
 from r2h_batch.scene.scene import Scene
@@ -41,7 +38,7 @@ CONTACT_THRESHOLD = 0.4
 
 Contacts = Literal["left-out", "other-categories", "all"]
 """Which built-in weights answer for an object. left-out: those that never saw it. other-categories: those that never saw
-an object of its category (`scene.objects.category_of`), whatever its frame: `predictors.unseen`. all: those trained on
+an object of its category (`scene.objects.Who`), whatever its frame: `predictors.unseen`. all: those trained on
 everything, on the sixteen objects of r2h-v1 too."""
 
 _cached: dict[tuple[Any, ...], Tensor] = {}
@@ -97,10 +94,10 @@ def _network_for(model: ObjectModel, contacts: Contacts) -> ContactPredictor:
     """The built-in network for an object: the objects of r2h-v1 and r2h-release are shown to weights that know how these
     lie, in whatever frame; any other to the network that no frame decides. `other-categories` shows all to networks of which
     that is true."""
-    frozen, own = has_frozen_frame(model), model if model.turn is None else model.turn.own
+    frozen, own = model.who.has_frozen_frame, model.who.own
     if contacts == "other-categories":
         return load_unseen(
-            own.name if frozen else category_of(model)
+            own.name if frozen else model.who.category
         )  # r2h-v1 has one object of each
     if not frozen:
         return load_axes_network()
@@ -132,7 +129,7 @@ def shipped_answers() -> Mapping[str, NDArray[Any]]:
 def _kept(model: ObjectModel, network: Slow) -> Float32[Tensor, " p"]:
     """The network's answer for an object: shipped, or kept on disk."""
     shipped = shipped_answers()
-    known = model.name in shipped and is_built_in(model)
+    known = model.name in shipped and model.who.key == model.name
     if known and shipped["network"].item() == network.digest:
         return torch.from_numpy(shipped[model.name].copy())
 

@@ -16,7 +16,7 @@ from r2h_batch.base import rng, se3
 from r2h_batch.protocols.draw.receivers import sine_cosine
 from r2h_batch.protocols.draw.rule import POSE, Batch, Placed
 from r2h_batch.scene.arrays import stored_arrays
-from r2h_batch.scene.objects import ObjectModel, stored_key
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import DEFAULT_ROBOT, load_robot
 
 Array = NDArray[np.float64]
@@ -86,9 +86,9 @@ def tool_rotation(R_world_palm: Array) -> Array:
 def reference_offset(model: ObjectModel) -> tuple[float, float, float]:
     """From the centre of the object's bounding box to the TCP of its first candidate, tool frame,
     m; 0 for an object without stored or given candidates."""
-    if model.turn is not None:  # the tool's frame turns with the object
-        return reference_offset(model.turn.own)
-    key, stored = stored_key(model), stored_arrays("objects", "grasps.npz")
+    if model.who.turn is not None:  # the tool's frame turns with the object
+        return reference_offset(model.who.own)
+    key, stored = model.who.key, stored_arrays("objects", "grasps.npz")
     if model.grasps is not None and len(model.grasps):
         T = np.asarray(model.grasps.T_obj_ee[0], np.float64)
     elif f"{key}/T_obj_ee" in stored:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.scene.hand import HandModel
-from r2h_batch.scene.objects import ObjectModel, object_digest, stored_key
+from r2h_batch.scene.objects import ObjectModel, object_digest
 from r2h_batch.trials.holding import held_out as sampled
 from r2h_batch.trials.holding.contact_forces import ContactForces
 from r2h_batch.trials.holding.hand_contact import ObjectSurface, palmar_region
@@ -145,17 +145,17 @@ class Withstood:
 def _withstood(
     objects: tuple[ObjectModel, ...], hand: HandModel, only: frozenset[int]
 ) -> Withstood:
-    own = [o if o.turn is None else o.turn.own for k, o in enumerate(objects) if k in only]
+    own = [o.who.own for k, o in enumerate(objects) if k in only]
     each = [*(_of_object(o, hand) for o in own), {k: s.none() for k, s in FORM.items()}]
     columns = {k: np.concatenate([e[k] for e in each]) for k in FORM}
-    axes = [np.eye(3) if o.turn is None else np.asarray(o.turn.R_new_own) for o in objects]
+    axes = [np.eye(3) if (t := o.who.turn) is None else np.asarray(t.R_new_own) for o in objects]
     return Withstood(**columns, axes=np.array(axes, np.float64))
 
 
 @lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
     stored = stored_of_hand("capacity.npz", hand)
-    if f"{(key := stored_key(model))}/capacity" in stored:
+    if f"{(key := model.who.key)}/capacity" in stored:
         return {k: stored[f"{key}/{k}"] for k in FORM}
     made_of = f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} capacity"
     key = hashlib.sha256(made_of.encode()).hexdigest()

@@ -30,7 +30,6 @@ from r2h_batch.scene.objects import (
     ObjectModel,
     object_digest,
     stored_arrays_of,
-    stored_key,
 )
 from r2h_batch.trials.holding.hand_contact import PALM, ObjectSurface, palmar_region
 from r2h_batch.trials.holding.receiving import CODE, FIELDS, FORM, VERSIONS, ReceivingGrasps
@@ -147,11 +146,11 @@ def load_held_out(
 
 @lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    if model.turn is not None:
-        own = _of_object(model.turn.own, hand)
-        return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
+    if (turn := model.who.turn) is not None:
+        own = _of_object(turn.own, hand)
+        return {**own, "T_obj_hand": turn.poses(own["T_obj_hand"])}
     stored = stored_of_hand("held_out.npz", hand)
-    if f"{(key := stored_key(model))}/side" in stored:
+    if f"{(key := model.who.key)}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in (*FIELDS, "grip_n")}
     made_of = (
         f"{object_digest(model)} {hand.digest} {code_digest(MADE_BY, VERSIONS)} {SERIES}{PER_SIDE}"

@@ -26,7 +26,6 @@ from r2h_batch.scene.objects import (
     load_objects,
     object_digest,
     stored_arrays_of,
-    stored_key,
 )
 from r2h_batch.trials.holding.instructions import intents_of
 from r2h_batch.trials.holding.sampler import PER_SIDE, NoHoldError, sample_receiving
@@ -208,14 +207,14 @@ def _is_built_in_hand(hand: HandModel) -> bool:
 
 @lru_cache(maxsize=256)
 def _of_object(model: ObjectModel, hand: HandModel) -> dict[str, NDArray[Any]]:
-    if model.turn is not None:
-        own = _of_object(model.turn.own, hand)
-        return {**own, "T_obj_hand": model.turn.poses(own["T_obj_hand"])}
+    if (turn := model.who.turn) is not None:
+        own = _of_object(turn.own, hand)
+        return {**own, "T_obj_hand": turn.poses(own["T_obj_hand"])}
     hand = load_hand() if _is_built_in_hand(hand) else hand
     stored = (
         _stored() if hand is load_hand() else _stored_of_people() if hand is people_hand() else {}
     )
-    if f"{(key := stored_key(model))}/side" in stored:
+    if f"{(key := model.who.key)}/side" in stored:
         return {k: stored[f"{key}/{k}"] for k in FIELDS}
 
     def make() -> dict[str, NDArray[Any]]:
