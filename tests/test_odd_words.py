@@ -16,10 +16,11 @@ WORDS = {
     "--threads": NUMBERS,
     "--seed": ("nan", "1e400", "0x10", "\u0661", "", "1 2"),
     "--shard": ("0/0", "5/4", "-1/2", "1", "a/b", "1/2/3", "\u0661/\u0662"),
-    "--set": (
-        *("plan.range_rad=nan", "plan.range_rad=-1", "__class__=1", "plan=1", "plan.rounds=[1e99]", "a.b.c.d=1", "="),
-        *("plan.range_rad", "chunk=-5"),
-    ),
+    "--plan.range-rad": ("nan", "-1", ""),
+    "--plan.rounds": ("[1e99]", "0"),
+    **{flag: ("1",) for flag in ("--__class__", "--plan", "--a.b.c.d", "--=", "--set")},
+    "--execution-error": ("nanmm,1deg", "5mm,1deg+", "+", "5mm,1000deg", "\u0661mm,1deg"),
+    "--object-errors": ("5mm", "1e400mm,1deg", "none,none", ""),
     "--method": (
         *("os:system", "builtins:exec", "random,x=__import__('os')", "random,seed=", "=", "a=b=c", "a=/dev/zero:f"),
         *("oracle,proposals=nan", "oracle,proposals=10000000000000", "\u0440andom"),
