@@ -18,7 +18,7 @@ WORDS = {
     "--shard": ("0/0", "5/4", "-1/2", "1", "a/b", "1/2/3", "\u0661/\u0662"),
     "--plan.range-rad": ("nan", "-1", ""),
     "--plan.rounds": ("[1e99]", "0"),
-    **{flag: ("1",) for flag in ("--__class__", "--plan", "--a.b.c.d", "--=", "--set")},
+    **dict.fromkeys(("--__class__", "--plan", "--a.b.c.d", "--=", "--set"), ("1",)),
     "--execution-error": ("nanmm,1deg", "5mm,1deg+", "+", "5mm,1000deg", "\u0661mm,1deg"),
     "--object-errors": ("5mm", "1e400mm,1deg", "none,none", ""),
     "--method": (
