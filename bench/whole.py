@@ -1,8 +1,8 @@
 """The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/results/whole.md.
 
-`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with other code,
-and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what is
-done, and started again it goes on with what is missing.
+`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with other
+code, and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what
+is done, and started again it goes on with what is missing.
 """
 
 import argparse
