@@ -22,8 +22,9 @@ import numpy as np
 import torch
 import warp as wp
 from _is_free import is_free
-from _report import Report, arguments
+from _report import Report
 from _twins import let_collide, make_batch, oracle, solve, staged
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch_trials
@@ -104,39 +105,6 @@ def fastest(run, others=()) -> list[float]:
     return [min(t) for t in times]
 
 
-def options() -> argparse.Namespace:
-    """Command line."""
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=32)
-    parser.add_argument("--per-trial", type=int, default=320)
-    return parser.parse_args()
-
-
-def main() -> None:
-    args = options()
-    torch.set_num_threads(1)
-    report = Report(MEASURES)
-    scene = Scene(load_benchmark(), config=EvalConfig(), device="cpu")
-    problems, q = configurations(scene, args.trials, args.per_trial)
-    count = q.shape[0] * q.shape[1]
-    report.add("collision.configs", count)
-    twins = [oracle.mujoco_scene(scene, staged(problems, k)) for k in range(args.trials)]
-    least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
-    truth = np.array([[x[0] for x in rows] for rows in least])
-    report.add("collision.free_share", float((truth > 0).mean()))
-    report.add("collision.borderline", int((np.abs(truth) < BAND_M).sum()))
-    overhead = python_overhead(count)
-    report.add("collision.mujoco_c_python_us_taken_off", overhead / count * 1e6)
-    with_self = scene.world.self_links
-    for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
-        scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
-        engines = Engines(scene, problems, twins, classes, q)
-        report_times(report, suffix, count, engines.times(), overhead)
-        if suffix == "":
-            report_disagreements(report, engines, truth)
-    report.write(args.json)
-
-
 class Engines:
     """Every engine on the same configurations and pairs, each run once: compiled, and with its answers at hand."""
 
@@ -184,5 +152,36 @@ def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) ->
     report.add("collision.mujoco_c_contacts_missed", int((engines.c_free & (truth < -BAND_M)).sum()))
 
 
+def run(args: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
+    torch.set_num_threads(1)
+    scene = Scene(load_benchmark(), config=EvalConfig(), device="cpu")
+    problems, q = configurations(scene, args.trials, args.per_trial)
+    count = q.shape[0] * q.shape[1]
+    report.add("collision.configs", count)
+    twins = [oracle.mujoco_scene(scene, staged(problems, k)) for k in range(args.trials)]
+    least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
+    truth = np.array([[x[0] for x in rows] for rows in least])
+    report.add("collision.free_share", float((truth > 0).mean()))
+    report.add("collision.borderline", int((np.abs(truth) < BAND_M).sum()))
+    overhead = python_overhead(count)
+    report.add("collision.mujoco_c_python_us_taken_off", overhead / count * 1e6)
+    with_self = scene.world.self_links
+    for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
+        scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
+        engines = Engines(scene, problems, twins, classes, q)
+        report_times(report, suffix, count, engines.times(), overhead)
+        if suffix == "":
+            report_disagreements(report, engines, truth)
+
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {"--trials": {"default": 32}, "--per-trial": {"default": 320}},
+    peer="MuJoCo C",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -8,6 +8,7 @@ between the fingertips, against the reference at the same time. A trial is in th
 0.1 mm of 0 in either run. `auto` takes more trials than the rest (--auto-trials), with the answers of the method `contact`.
 """
 
+import argparse
 import copy
 import time
 from typing import Any, Literal
@@ -16,7 +17,8 @@ from unittest import mock
 import numpy as np
 import torch
 from _mix import load_mix, on
-from _report import Report, arguments
+from _report import Report
+from run import DEVICE, Bench
 
 import r2h_batch.judge.motion.execute as execution
 from r2h_batch import load_benchmark
@@ -260,19 +262,27 @@ def tracking(mix: Mix, report: Report) -> None:
         report.add(f"execute.t_exec.known_object.{key}_s", float(value))
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=256)
-    parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
-    parser.add_argument("--auto-trials", type=int, default=2000, help="of `auto` against `scene`")
-    parser.add_argument("--ask", nargs="+", choices=ASK, default=ASK)
-    options = parser.parse_args()
-    report, mix = Report(MEASURES), Mix(options.trials, options.device, options.threads)
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
+    mix = Mix(options.trials, options.device, options.threads)
     for name in options.ask:
         asked = Mix(options.auto_trials, options.device, options.threads) if name == "auto" else mix
         globals()[name](asked, report)
-    report.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        **DEVICE,
+        "--trials": {"default": 256},
+        "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
+        "--auto-trials": {"default": 2000, "help": "of `auto` against `scene`"},
+        "--ask": {"nargs": "+", "choices": ASK, "default": ASK},
+    },
+    peer="MuJoCo C and MuJoCo-Warp, each with arm alone and whole scene",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -7,6 +7,7 @@ trial. One core and all cores take turns, and the side that goes first changes f
 imports and the Evaluator. An idle machine is needed: work beside it takes a core from one side only.
 """
 
+import argparse
 import multiprocessing
 import os
 import statistics
@@ -16,7 +17,8 @@ from concurrent.futures import ProcessPoolExecutor
 from typing import Literal
 
 import numpy as np
-from _report import ROOT, Report, arguments
+from _report import ROOT, Report
+from run import Bench
 
 MEASURES = ("bench/first_call.py", "kernels", "r2h_batch/base/launch", "r2h_batch/judge/compile.py")
 STAGES: tuple[Literal["pose", "all"], ...] = ("pose", "all")
@@ -41,11 +43,9 @@ def first_call_s(stages: Literal["pose", "all"], cores: tuple[int, ...], cache: 
     return time.perf_counter() - begin
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--rounds", type=int, default=3)
-    given = parser.parse_args()
-    report, everything = Report(MEASURES), tuple(sorted(os.sched_getaffinity(0)))
+def run(given: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
+    everything = tuple(sorted(os.sched_getaffinity(0)))
     times: dict[tuple[str, int], list[float]] = {}
     for turn in range(given.rounds):
         for stages in STAGES:
@@ -63,8 +63,17 @@ def main() -> None:
     for stages in STAGES:
         one, more = (times[stages, n] for n in (1, len(everything)))
         report.add(f"first_call.{stages}.ratio", statistics.median(a / b for a, b in zip(one, more, strict=True)))
-    report.write(given.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--rounds": {"default": 3},
+    },
+    peer="one core",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -4,8 +4,11 @@
 bench/options/gates (r2h-v2, motion as planned). A row that names no gate is the method's row of Table I.
 """
 
-from _report import Report, arguments
+import argparse
+
+from _report import Report
 from _rows import kept_rows, rates_of
+from run import Bench
 
 OWN = {"fc": "hand", "handover-va": "ik", "contact": "none", "intent": "none"}
 """Method -> the gate of its row in Table I."""
@@ -30,9 +33,9 @@ def answered(method: str, gate: str) -> str:
     return method if gate == OWN[method] else f"{method},gate={gate}"
 
 
-def measure(trials: int) -> Report:
+def measure(options: argparse.Namespace, report: Report) -> None:
     """Sweeps, keeps the rows, and collects the figures."""
-    report = Report(MEASURES)
+    trials = options.trials
     report.add("gates.trials", trials)
     words = [answered(m, gate) for m in OWN for gate in GATES]
     rates = rates_of(kept_rows("gates", words, "--trials", trials, *FLAGS), words)
@@ -40,12 +43,15 @@ def measure(trials: int) -> Report:
         for gate in GATES:
             for split, row in rates[answered(method, gate)].items():
                 report.add(f"gates.{method.replace('-', '_')}.{gate}.{split.lower()}", row["sr"])
-    return report
 
+
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {"--trials": {"default": TRIALS, "help": "of each split"}},
+    peer="each method's own gate",
+)
 
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
-    options = parser.parse_args()
-    target = options.json and options.json.resolve()
-    measure(options.trials).write(target)
+    BENCH.main()

@@ -7,6 +7,7 @@ code is 1 then. Equality: outcomes may differ where a trial is `borderline` on e
 means anything.
 """
 
+import argparse
 import os
 import shutil
 import statistics
@@ -26,7 +27,8 @@ import numpy as np
 import torch
 import warp as wp
 from _mix import Poses, load_mix, on, repeated
-from _report import ROOT, Report, arguments
+from _report import ROOT, Report
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import launch
@@ -48,7 +50,7 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 
 @dataclass
-class Bench:
+class Machine:
     """Shared by the parts: the device, how many trials, the report, when to stop."""
 
     device: str
@@ -115,7 +117,7 @@ class Bench:
         return done.returncode
 
 
-def machine(bench: Bench) -> None:
+def machine(bench: Machine) -> None:
     """Reports the device: name, architecture, memory, driver."""
     bench.report.add("gpu.device", torch.cuda.get_device_name(bench.device) if bench.cuda else "cpu")
     bench.report.add("gpu.torch_cuda", str(torch.version.cuda))
@@ -140,7 +142,7 @@ def first_call(device: str) -> int:
     return 0 if same and plain.isfinite().any() else 3
 
 
-def capture_first(bench: Bench) -> None:
+def capture_first(bench: Machine) -> None:
     """`capture()` as the first call of a process, compilation included: the bits of the plain call?"""
     start = time.perf_counter()
     code = bench.command("capture_first", [*FIRST_CALL, bench.device])
@@ -150,7 +152,7 @@ def capture_first(bench: Bench) -> None:
         raise RuntimeError(f"exit code {code}; capture_first.log")
 
 
-def compile_times(bench: Bench) -> None:
+def compile_times(bench: Machine) -> None:
     """Seconds until the modules of a first full call are compiled or loaded, and the call itself."""
     start = time.perf_counter()
     bench.evaluator.score(*bench.there(bench.mix))
@@ -158,7 +160,7 @@ def compile_times(bench: Bench) -> None:
     bench.report.add("gpu.first_full_call_s", time.perf_counter() - start)
 
 
-def marked_tests(bench: Bench) -> None:
+def marked_tests(bench: Machine) -> None:
     """`pytest -m gpu`."""
     code = bench.command("pytest_gpu", [sys.executable, "-m", "pytest", "-q", "-m", "gpu", "-p", "no:cacheprovider"])
     last = (bench.out / "pytest_gpu.log").read_text().strip().splitlines()[-1:]
@@ -167,7 +169,7 @@ def marked_tests(bench: Bench) -> None:
         raise RuntimeError(f"exit code {code}; pytest_gpu.log")
 
 
-def equal_to_cpu(bench: Bench) -> None:
+def equal_to_cpu(bench: Machine) -> None:
     """Whole trials here and on the CPU: outcomes, margins, paths."""
     for name, batch in (("mix", bench.mix), ("random", bench.random)):
         there = bench.evaluator.score(*bench.there(batch)).to("cpu")
@@ -187,7 +189,7 @@ def equal_to_cpu(bench: Bench) -> None:
             raise RuntimeError(f"{name}: {int(differ.sum())} outcomes differ, margins by {float(off.max()):.1e} m")
 
 
-def equal_bits(bench: Bench) -> None:
+def equal_bits(bench: Machine) -> None:
     """Batches of 1 and 7 rows, the whole, and the whole in another order: the same bits."""
     batch = bench.there(bench.mix)
     whole = bench.evaluator.score(*batch).margin.cpu()
@@ -202,7 +204,7 @@ def equal_bits(bench: Bench) -> None:
             raise RuntimeError(f"rows of a batch of {name} have other bits")
 
 
-def memcheck(bench: Bench) -> None:
+def memcheck(bench: Machine) -> None:
     """compute-sanitizer over the first call, where the tool is."""
     tool = shutil.which("compute-sanitizer")
     if tool is None or not bench.cuda:
@@ -213,7 +215,7 @@ def memcheck(bench: Bench) -> None:
     bench.report.add("gpu.memcheck", {0: "clean", 124: "out of time"}.get(code, f"exit code {code}"))
 
 
-def throughput(bench: Bench) -> None:
+def throughput(bench: Machine) -> None:
     """Kinematic trials/s of the mix over chunk and block size."""
     best = 0.0
     for chunk in CHUNKS[: None if bench.cuda else 1]:
@@ -236,7 +238,7 @@ SEARCHED = {
 }
 
 
-def search(bench: Bench) -> None:
+def search(bench: Machine) -> None:
     """Time of the search for a trial, beside the other parts of planning: a launch takes as long as its longest problem."""
     n = SEARCH_ROWS if bench.cuda else bench.trials
     batch = bench.repeated(bench.random, n)
@@ -278,7 +280,7 @@ def search(bench: Bench) -> None:
     bench.report.add("gpu.search.most_problems_of_a_launch", max(problems, default=0))
 
 
-def pose_stage(bench: Bench) -> None:
+def pose_stage(bench: Machine) -> None:
     """Candidates/s of stages="pose", plain and as a captured call."""
     for n in (64, 4096, 65536) if bench.cuda else (bench.trials,):
         batch = bench.repeated(bench.mix, n)
@@ -289,7 +291,7 @@ def pose_stage(bench: Bench) -> None:
         bench.report.add(f"gpu.candidates_per_s.{n}.captured", rate)
 
 
-def worlds(bench: Bench) -> None:
+def worlds(bench: Machine) -> None:
     """Moved trials/s of MuJoCo-Warp over the number of worlds."""
     from r2h_batch.judge.motion import sim_mjwarp
 
@@ -308,7 +310,7 @@ def worlds(bench: Bench) -> None:
             return
 
 
-PARTS: tuple[Callable[[Bench], None], ...] = (
+PARTS: tuple[Callable[[Machine], None], ...] = (
     machine, capture_first, compile_times, equal_to_cpu, equal_bits, search, throughput, pose_stage, worlds,
     marked_tests, memcheck,
 )  # fmt: skip
@@ -323,7 +325,7 @@ def table(report: Report, ends: dict[str, str]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def run(bench: Bench, parts: Sequence[Callable[[Bench], None]]) -> dict[str, str]:
+def run(bench: Machine, parts: Sequence[Callable[[Machine], None]]) -> dict[str, str]:
     """How each part ended; figures so far are on disk after each."""
     ends = {part.__name__: "not started: out of time" for part in parts}
     for part in parts:
@@ -341,26 +343,39 @@ def run(bench: Bench, parts: Sequence[Callable[[Bench], None]]) -> dict[str, str
     return ends
 
 
-def main(given: Sequence[str] | None = None) -> int:
-    parser = arguments(__doc__)
-    parser.set_defaults(device="cuda:0")
-    parser.add_argument("--first-call", metavar="DEVICE", help="one captured call in a process of its own")
-    parser.add_argument("--out", type=Path, default="runs/gpu", metavar="DIR", help="of gpu.json, gpu.md and the logs")
-    parser.add_argument("--minutes", type=float, default=25.0, help="no part is started after these (default: 25)")
-    parser.add_argument("--trials", type=int, default=RANDOM_TRIALS, help="of each batch; fewer for a dry run")
-    options = parser.parse_args(given)
+def judged(options: argparse.Namespace, report: Report) -> None:
+    """All parts, or one call in a process of its own; ends with 1 if a part failed."""
     if options.first_call:
-        return first_call(options.first_call)
+        sys.exit(first_call(options.first_call))
     if options.device != "cpu" and not torch.cuda.is_available():
         print("gpu.py: torch sees no CUDA device; --device cpu --trials 8 is a dry run", file=sys.stderr)
-        return 2
+        sys.exit(2)
     options.out.mkdir(parents=True, exist_ok=True)
     os.environ.setdefault("MUJOCO_GL", "egl")
-    bench = Bench(
-        options.device, options.trials, time.monotonic() + 60 * options.minutes, options.out.resolve(), Report()
+    held = Machine(
+        options.device, options.trials, time.monotonic() + 60 * options.minutes, options.out.resolve(), report
     )
-    return int(any(end.startswith("FAILED") for end in run(bench, PARTS).values()))
+    if any(end.startswith("FAILED") for end in run(held, PARTS).values()):
+        sys.exit(1)
 
+
+BENCH = Bench(
+    __doc__,
+    judged,
+    flags={
+        "--device": {"default": "cuda:0", "help": "cpu or cuda:0 (default: cuda:0)"},
+        "--first-call": {"metavar": "DEVICE", "help": "one captured call in a process of its own"},
+        "--out": {
+            "type": Path,
+            "default": Path("runs/gpu"),
+            "metavar": "DIR",
+            "help": "of gpu.json, gpu.md and the logs",
+        },
+        "--minutes": {"default": 25.0, "help": "no part is started after these (default: 25)"},
+        "--trials": {"default": RANDOM_TRIALS, "help": "of each batch; fewer for a dry run"},
+    },
+    peer="the CPU",
+)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    BENCH.main()

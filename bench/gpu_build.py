@@ -26,7 +26,8 @@ from pathlib import Path
 from types import ModuleType
 
 import warp as wp
-from _report import Report, arguments
+from _report import Report
+from run import Bench
 
 import r2h_batch.kernels
 from r2h_batch.base.launch import init_warp
@@ -142,27 +143,30 @@ def report_all(builds: Sequence[Build], report: Report) -> None:
     report.add("gpu_build.cpu_s_max_module", max(builds, key=lambda b: b.cpu_s).module)
 
 
-def main(given: Sequence[str] | None = None) -> int:
-    parser = arguments(__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--modules", nargs="+", metavar="NAME", help="only these (plan.rrt); all without")
-    parser.add_argument("--ptxas", type=Path, metavar="FILE", help="the assembler; looked for without")
-    options = parser.parse_args(given)
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Compiles the modules and reports each kernel."""
     ptxas, known = find_ptxas(options.ptxas), kernel_modules()
     if ptxas is None:
-        parser.error("no ptxas here: pip install --no-deps nvidia-cuda-nvcc, or give --ptxas FILE")
+        sys.exit("no ptxas here: pip install --no-deps nvidia-cuda-nvcc, or give --ptxas FILE")
     if unknown := sorted(set(options.modules or ()) - set(known)):
-        parser.error(f"no module with kernels is called {', '.join(unknown)}; there are {', '.join(known)}")
+        sys.exit(f"no module with kernels is called {', '.join(unknown)}; there are {', '.join(known)}")
     init_warp()
-    report, builds = Report(), []
+    builds = []
     for name in options.modules or known:
         built = build(import_module(PACKAGE + name), ptxas)
         builds.append(built)
         report.add(f"gpu_build.{name}.cpu_s", built.cpu_s)
     report_all(builds, report)
-    report.write(options.json)
-    return 0
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    flags={
+        "--modules": {"nargs": "+", "metavar": "NAME", "help": "only these (plan.rrt); all without"},
+        "--ptxas": {"type": Path, "metavar": "FILE", "help": "the assembler; looked for without"},
+    },
+)
 
 if __name__ == "__main__":
-    sys.exit(main())
+    BENCH.main()

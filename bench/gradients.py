@@ -7,6 +7,7 @@ candidates of r2h-v1. page: the first block of
 docs/gradients.md, as printed. refine: examples/refine_poses.py on N trials of each split.
 """
 
+import argparse
 import re
 import runpy
 import statistics
@@ -16,7 +17,8 @@ import time
 from pathlib import Path
 
 import torch
-from _report import ROOT, Report, arguments
+from _report import ROOT, Report
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -92,16 +94,22 @@ def refine(report: Report, trials: int) -> None:
     report.add("gradients.refine.percent_after", 100 * after)
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=200, help="of each split, for examples/refine_poses.py")
-    options = parser.parse_args()
-    report = Report(MEASURES)
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     cost(report)
     page(report)
     refine(report, options.trials)
-    report.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--trials": {"default": 200, "help": "of each split, for examples/refine_poses.py"},
+    },
+    peer="calls without gradients",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

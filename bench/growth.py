@@ -6,6 +6,7 @@ process of its own, so that its peak memory is its own.
 `--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
 """
 
+import argparse
 import json
 import resource
 import subprocess
@@ -18,7 +19,8 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from _report import ROOT, Report, arguments
+from _report import ROOT, Report
+from run import Bench
 
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
@@ -195,26 +197,22 @@ def import_grab(sequences: int) -> dict[str, float]:
         return command("import", "hands", temporary, "--from", "grab", *line)
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, nargs="+", default=[2_000_000, 20_000_000], help="sizes, small to large")
-    parser.add_argument("--shard-trials", type=int, default=100_000)
-    parser.add_argument("--folder", type=Path, help="where the run folders are made (default: a temporary folder)")
-    parser.add_argument("--step", choices=STEPS, help="run one step only and print its figures as JSON")
-    parser.add_argument("--sequences", type=int, help="measure an import of so many sequences only")
-    given = parser.parse_args()
+def peak(report_: Report, trials: int, step: str) -> float:
+    """Peak memory of a step, GB."""
+    return float(report_.values[f"growth.{trials}.{step}_peak_mib"]) * 2**20 / 1e9
+
+
+def run(given: argparse.Namespace, report_: Report) -> None:
+    """Measures all of it."""
     if given.sequences:
-        report_ = Report(MEASURES)
         for name, value in import_grab(given.sequences).items():
             report_.add(f"growth.import_{given.sequences}_sequences_{name}", value)
-        report_.write(given.json)
         return
     if given.step:
         figures = STEPS[given.step](given.folder, given.trials[0], given.shard_trials)
         own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(json.dumps({"peak_mib": own, **figures}))
         return
-    report_ = Report(MEASURES)
     seconds: dict[tuple[int, str], float] = {}
     with tempfile.TemporaryDirectory(dir=given.folder) as temporary:
         for trials in given.trials:
@@ -242,13 +240,21 @@ def main() -> None:
     report_.add("growth.rows", last)
     report_.add("growth.bytes_a_row", report_.values[f"growth.{last}.write_bytes_per_trial"])
     report_.add("growth.report_and_compare_peak_gb", max(peak(report_, last, s) for s in ("report", "compare")))
-    report_.write(given.json)
 
 
-def peak(report_: Report, trials: int, step: str) -> float:
-    """Peak memory of a step, GB."""
-    return float(report_.values[f"growth.{trials}.{step}_peak_mib"]) * 2**20 / 1e9
-
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--trials": {"type": int, "nargs": "+", "default": [2_000_000, 20_000_000], "help": "sizes, small to large"},
+        "--shard-trials": {"default": 100_000},
+        "--folder": {"type": Path, "help": "where the run folders are made (default: a temporary folder)"},
+        "--step": {"choices": STEPS, "help": "run one step only and print its figures as JSON"},
+        "--sequences": {"type": int, "help": "measure an import of so many sequences only"},
+    },
+    peer="the smaller size's time",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

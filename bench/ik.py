@@ -10,6 +10,7 @@ missed, branch_completeness: against ur-analytic-ik. ratio_to_ur_analytic_ik_pyt
 ik.jacobian: the other solver of IkConfig, our damped least squares on pytorch-kinematics' Jacobian, over the first targets.
 """
 
+import argparse
 import time
 from collections.abc import Callable
 from functools import partial
@@ -18,7 +19,8 @@ import numpy as np
 import pytorch_kinematics
 import torch
 import ur_analytic_ik
-from _report import Report, arguments
+from _report import Report
+from run import DEVICE, Bench
 
 from r2h_batch.base import se3
 from r2h_batch.base.launch import cpu_threads
@@ -138,16 +140,11 @@ def beside_pseudo_inverse(report: Report, targets: torch.Tensor, reachable: torc
     return seconds
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--targets", type=int, default=100_000, help="default: 100000")
-    parser.add_argument("--reference-targets", type=int, default=1000, help="for PseudoInverseIK; default: 1000")
-    args = parser.parse_args()
-    report = Report(MEASURES)
+def run(args: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     torch.set_num_threads(1)
     targets = make_targets(args.targets).to(args.device)
     on_cpu = targets.device.type == "cpu"
-
     clock = time.process_time if on_cpu else time.perf_counter
 
     def solve(threads: int | None) -> Callable[[], IkResult]:
@@ -173,7 +170,6 @@ def main() -> None:
     oracle, oracle_seconds = closed_form(targets)
     completeness(report, result, oracle)
     report.add("ik.ratio_to_ur_analytic_ik_python", oracle_seconds / args.targets / seconds)
-
     some = torch.randperm(args.targets, generator=torch.Generator().manual_seed(0))[: args.reference_targets]
     some = some.to(targets.device)
     solvable = torch.tensor([bool(s) for s in oracle], device=targets.device)[some]
@@ -182,8 +178,19 @@ def main() -> None:
     reference = beside_pseudo_inverse(report, targets[some].contiguous(), solvable)
     report.add("ik.ratio_to_pytorch_kinematics", reference[20] / seconds)
     report.add("ik.ratio_to_pytorch_kinematics_5_restarts", reference[5] / seconds)
-    report.write(args.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        **DEVICE,
+        "--targets": {"default": 100_000, "help": "default: 100000"},
+        "--reference-targets": {"default": 1000, "help": "for PseudoInverseIK; default: 1000"},
+    },
+    peer="pytorch-kinematics' PseudoInverseIK, ur-analytic-ik",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

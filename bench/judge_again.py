@@ -18,6 +18,7 @@ Figures are rows, wrong verdicts, the largest difference of a distance (mm), bou
 bound exceeds a deeper point may exist.
 """
 
+import argparse
 import contextlib
 import io
 import tempfile
@@ -28,9 +29,10 @@ from typing import Any
 
 import numpy as np
 import torch
-from _report import Report, arguments
+from _report import Report
 from _twins import Again, Finding, episode_of, reception_of
 from meshes import drawn
+from run import Bench
 
 from r2h_batch.closed_loop.env import HandoverEnv
 from r2h_batch.closed_loop.episodes import play
@@ -198,12 +200,8 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     return rows, tallies
 
 
-def main() -> None:
+def run(args: argparse.Namespace, report: Report) -> None:
     """Prints what differs and the table."""
-    parser = arguments(__doc__)
-    parser.add_argument("sets", nargs="*", default=list(SETS), help=f"of {', '.join(SETS)}; default: all")
-    parser.add_argument("--trials", type=int, default=14, help="of each split and method")
-    args, report = parser.parse_args(), Report(MEASURES)
     with tempfile.TemporaryDirectory() as kept:
         meshes = Path(kept) / "meshes"
         meshes.mkdir()
@@ -231,5 +229,16 @@ def main() -> None:
             report.write(args.json)  # an end before the last set leaves those that are done
 
 
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "sets": {"nargs": "*", "default": list(SETS), "help": f"of {', '.join(SETS)}; default: all"},
+        "--trials": {"default": 14, "help": "of each split and method"},
+    },
+    peer="own twins: MuJoCo C, manifold3d, trimesh, Qhull, float64 NumPy",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

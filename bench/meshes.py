@@ -11,6 +11,7 @@ and how many of `--grasps` grasps pass Stability on one of the two alone; the th
 depths behind 2,000 points).
 """
 
+import argparse
 import json
 import os
 import sys
@@ -25,9 +26,10 @@ import manifold3d
 import numpy as np
 import torch
 import trimesh
-from _report import Report, arguments, markdown_table
+from _report import Report, markdown_table
 from _twins import winding_number
 from numpy.typing import NDArray
+from run import Bench
 
 os.environ["R2H_BATCH_CACHE"] = "off"
 
@@ -251,12 +253,8 @@ def figures(report: Report, rows: list[dict[str, Any]]) -> None:
                 report.add(f"meshes.{row['object']}.{key}", ", ".join(value) if isinstance(value, list) else value)
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--trials", type=int, default=20)
-    parser.add_argument("--grasps", type=int, default=4000)
-    asked, report = parser.parse_args(), Report(MEASURES)
+def run(asked: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     warnings.simplefilter("ignore")
     things = drawn()
     todo: list[tuple[str, Any, Any]] = [(n, m if n == "drawn_bottle" else spoiled(m), m) for n, m in things.items()]
@@ -272,9 +270,20 @@ def main() -> None:
         rows.append(measure(name, source, clean, asked.trials, asked.grasps))
         print(json.dumps(rows[-1]), file=sys.stderr, flush=True)
     figures(report, rows)
-    report.write(asked.json)
     print(table(rows))
 
 
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "folder": {"type": Path, "nargs": "?"},
+        "--trials": {"default": 20},
+        "--grasps": {"default": 4000},
+    },
+    peer="the meshes before they were spoiled",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -5,6 +5,7 @@ all sixteen categories, and with the predictors that never saw the object's cate
 rows in bench/options/networks (r2h-v2, motion as planned).
 """
 
+import argparse
 import json
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -13,9 +14,10 @@ from typing import Any
 
 import families
 import numpy as np
-from _report import Report, arguments
+from _report import Report
 from _rows import kept_rows, rates_of
 from _source import ROOT
+from run import Bench
 
 from r2h_batch.methods.predictors import Contacts, predict_contacts
 
@@ -92,9 +94,9 @@ def beside_the_others(folder: Path) -> list[dict[str, Any]]:
     return [asdict(pair) for pair in whole.pairs if pair.a == paired.names[0]]
 
 
-def measure(trials: int) -> Report:
+def measure(options: argparse.Namespace, report: Report) -> None:
     """Sweeps, keeps the rows, and collects the figures."""
-    report = Report(MEASURES)
+    trials = options.trials
     report.add("networks.trials", trials)
     folder = kept_rows("networks", [*WORDS.values()], "--trials", trials, *FLAGS)
     rates = rates_of(folder, [*WORDS.values()])
@@ -135,12 +137,15 @@ def measure(trials: int) -> Report:
     report.add("networks.tried.voxnet.region_auc", float(np.mean([*old.values()])))
     for category, value in old.items():
         report.add(f"networks.tried.voxnet.region_auc_of.{category}", value)
-    return report
 
+
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {"--trials": {"default": TRIALS, "help": "of each split"}},
+    peer="networks that knew the categories",
+)
 
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
-    options = parser.parse_args()
-    target = options.json and options.json.resolve()
-    measure(options.trials).write(target)
+    BENCH.main()

@@ -5,11 +5,13 @@ back with h5py alone. Process seconds of one core; a small shard is written firs
 and meshes of table and robot drawn.
 """
 
+import argparse
 import tempfile
 import time
 from pathlib import Path
 
-from _report import Report, arguments
+from _report import Report
+from run import Bench
 
 FAMILIES, PAIRS, FIRST = "* x 5 seed 5", 16, 8
 """As `export views` takes them; trials of the shard that is not measured."""
@@ -34,8 +36,9 @@ def read_back(path: Path) -> dict[str, int]:
     return sizes
 
 
-def measure(trials: int) -> Report:
+def measure(options: argparse.Namespace, report: Report) -> None:
     """Writes a shard, reads it, and collects the figures."""
+    trials = options.trials
     import h5py
     import torch
 
@@ -45,7 +48,7 @@ def measure(trials: int) -> Report:
     from r2h_batch.observe.sees import Sees
 
     torch.set_num_threads(1)
-    report, sees = Report(MEASURES), Sees.parse("cell-v1")
+    sees = Sees.parse("cell-v1")
     report.add("observe_export.trials", trials)
     with tempfile.TemporaryDirectory() as folder:
         for count, name in ((FIRST, "first"), (trials, "measured")):
@@ -67,12 +70,9 @@ def measure(trials: int) -> Report:
         report.add("observe_export.pairs", PAIRS)
         report.add("observe_export.pairs_won", float(won.mean()))
         report.add("observe_export.oracle_won", float(best.mean()))
-    return report
 
+
+BENCH = Bench(__doc__, measure, MEASURES, {"--trials": {"default": 250, "help": "of the shard"}})
 
 if __name__ == "__main__":
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=250, help="of the shard")
-    options = parser.parse_args()
-    target = options.json and options.json.resolve()
-    measure(options.trials).write(target)
+    BENCH.main()

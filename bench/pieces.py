@@ -23,9 +23,10 @@ from typing import Any
 import coacd
 import numpy as np
 import trimesh
-from _report import Report, arguments, markdown_table
+from _report import Report, markdown_table
 from manifold3d import Manifold, Mesh64
 from meshes import SUFFIXES, drawn
+from run import Bench
 from threadpoolctl import threadpool_limits
 
 from r2h_batch.scene.families.draw import draw_instance
@@ -153,27 +154,33 @@ def summary(rows: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     )
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("folder", type=Path, nargs="?")
-    parser.add_argument("--only", nargs="+", metavar="NAME", help="these objects")
-    parser.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS), help="these ways (default: all)")
-    asked, report = parser.parse_args(), Report(MEASURES)
+def run(asked: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     warnings.simplefilter("ignore")
     for way in asked.ways:  # imports, kernels
         measured(BOX, WAYS[way](BOX))
     solids = things(asked.folder)
     if unknown := [name for name in asked.only or () if name not in solids]:
-        parser.error(f"--only {' '.join(unknown)}: there are {', '.join(solids)}")
+        sys.exit(f"--only {' '.join(unknown)}: there are {', '.join(solids)}")
     rows = {name: compared(name, solids[name], asked.ways) for name in asked.only or solids}
     for name, found in rows.items():
         for way, row in found.items():
             for key, value in row.items():
                 report.add(f"pieces.{name}.{way}.{key}", value)
-    report.write(asked.json)
     print(summary(rows))
 
 
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "folder": {"type": Path, "nargs": "?"},
+        "--only": {"nargs": "+", "metavar": "NAME", "help": "these objects"},
+        "--ways": {"nargs": "+", "choices": WAYS, "default": list(WAYS), "help": "these ways (default: all)"},
+    },
+    peer="CoACD",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

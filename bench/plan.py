@@ -13,6 +13,7 @@ ratio_to_ompl: process times, one core each, the median of OMPL over our mean pe
 little. ratio_to_ompl_wall: wall times, ours on all cores.
 """
 
+import argparse
 import statistics
 import time
 from dataclasses import dataclass
@@ -21,9 +22,10 @@ from typing import Any
 import numpy as np
 import torch
 from _mix import load_mix
-from _report import Report, arguments
+from _report import Report
 from _twins import Batch, Checker, Problems, checker_of, dense, motion_samples, ompl_solve, recheck, solve
 from numpy.typing import NDArray
+from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch.threads import on_threads
@@ -162,25 +164,31 @@ def compare_with_ompl(
     report.add("plan.ratio_to_ompl_wall", statistics.median(walls) / (wall / n))
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--problems", type=int, default=300)
-    parser.add_argument("--budget-s", type=float, default=10.0, help="OMPL's time for one problem")
-    parser.add_argument("--resolution-rad", type=float, default=1 / 64, help="OMPL's edge resolution")
-    options = parser.parse_args()
-    report = Report(MEASURES)
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     scene = Evaluator(load_benchmark(), device=options.device).scene
     (T_obj_ee, T_world_ee, trials), _ = load_mix(options.device)
     whole = Batch(trials, T_obj_ee, T_world_ee)
     rows, checkers, goals = free_rows(scene, solve(scene, whole), options.problems)
     batch = whole.rows(torch.tensor(rows))
     report.add("plan.problems", len(batch))
-
     own = own_times(report, scene, batch)
     recheck_paths(report, scene, own, checkers)
     compare_with_ompl(report, scene, batch, own, (checkers, goals), options)
-    report.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        **DEVICE,
+        "--problems": {"default": 300},
+        "--budget-s": {"default": 10.0, "help": "OMPL's time for one problem"},
+        "--resolution-rad": {"type": float, "default": 1 / 64, "help": "OMPL's edge resolution"},
+    },
+    peer="OMPL's RRT-Connect on MuJoCo C's contacts",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -20,7 +20,8 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from _report import Report, arguments
+from _report import Report
+from run import Bench
 from soak import compare, ended, stored_shards, sweep
 
 STORE_BYTES = 80_000_000
@@ -228,12 +229,8 @@ FAULTS = {
 }
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
-    parser.add_argument("--trials", type=int, default=10_000, help="of each of two splits")
-    parser.add_argument("--shard-trials", type=int, default=1000)
-    given, report = parser.parse_args(), Report()
+def run(given: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     os.environ.update(RAY_AUTH_MODE="disabled", RAY_USAGE_STATS_ENABLED="0")
     with tempfile.TemporaryDirectory(prefix="ray") as temporary:
         base = Path(temporary)
@@ -243,5 +240,17 @@ def main() -> None:
             report.write(given.json)
 
 
+BENCH = Bench(
+    __doc__,
+    run,
+    (),
+    {
+        "--faults": {"nargs": "+", "choices": FAULTS, "default": list(FAULTS)},
+        "--trials": {"default": 10_000, "help": "of each of two splits"},
+        "--shard-trials": {"default": 1000},
+    },
+    peer="the run of one process",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -6,7 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from _report import Report
 from PIL import Image
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.config import HOME_Q
@@ -95,11 +97,8 @@ def histograms(found: dict[str, dict[str, np.ndarray]], path: Path) -> None:
     figure.savefig(path, dpi=80)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--trials", type=int, default=2000, help="of each split")
-    parser.add_argument("--out", type=Path, default=DOCS)
-    given = parser.parse_args()
+def run(given: argparse.Namespace, _: Report) -> None:
+    """Prints percentiles of both protocols and draws the pictures."""
     found = {}
     for protocol in ("r2h-v0", "r2h-v1"):
         trials = load_benchmark(protocol).trials(given.trials)
@@ -111,5 +110,15 @@ def main() -> None:
     histograms(found, given.out / "receivers_angles.png")
 
 
+BENCH = Bench(
+    __doc__,
+    run,
+    flags={
+        "--trials": {"default": 2000, "help": "of each split"},
+        "--out": {"type": Path, "default": DOCS},
+    },
+    peer="r2h-v0",
+)
+
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from _report import ROOT, Report, markdown_table, swept
+from run import Bench
 
 from r2h_batch.report.table import record, table_of
 from r2h_batch.runs.store import load_run
@@ -229,29 +230,18 @@ def tables(found: dict[str, dict[str, Any]]) -> tuple[str, str]:
     )
 
 
-def main() -> None:
+def run(options: argparse.Namespace, result: Report) -> None:
     """Tries every arm and writes the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--packages", type=Path, required=True, help="folder of the packages, as pip --target fills it")
-    parser.add_argument("--fetch", action="store_true", help="fill it first")
-    parser.add_argument("--only", nargs="+", default=[*ARMS], choices=[*ARMS], help="names of ARMS")
-    parser.add_argument("--trials", type=int, default=20, help="of each split, for the oracle")
-    parser.add_argument("--out", type=Path, required=True, help="robots and figures; what is there is not tried again")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
     os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL", "osmesa")  # of the commands: they draw home.png
     if options.fetch:
         fetch(options.packages)
-    result = Report(MEASURES)
     there = {
         d.metadata["Name"].lower().replace("_", "-"): d.version
         for d in metadata.distributions(path=[str(options.packages)])
     }
     for package, version in VERSIONS.items():
         if there.get(package, "").split("-")[0] != version:
-            parser.error(
-                f"--packages {options.packages}: has {package} {there.get(package)}, not {version}; give --fetch"
-            )
+            sys.exit(f"--packages {options.packages}: has {package} {there.get(package)}, not {version}; give --fetch")
         result.add(f"registry_arms.version.{package}", version)
     found: dict[str, dict[str, Any]] = {}
     options.out.mkdir(parents=True, exist_ok=True)
@@ -278,8 +268,20 @@ def main() -> None:
     result.add("registry_arms.packages", ", ".join(f"{k} {v}" for k, v in VERSIONS.items()))
     result.add("registry_arms.table", table)
     result.add("registry_arms.refusals", refusals)
-    result.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--packages": {"type": Path, "required": True, "help": "folder of the packages, as pip --target fills it"},
+        "--fetch": {"action": "store_true", "help": "fill it first"},
+        "--only": {"nargs": "+", "default": [*ARMS], "choices": [*ARMS], "help": "names of ARMS"},
+        "--trials": {"default": 20, "help": "of each split, for the oracle"},
+        "--out": {"type": Path, "required": True, "help": "robots and figures; what is there is not tried again"},
+    },
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -23,6 +23,7 @@ import numpy as np
 import torch
 import trimesh
 from _report import Report
+from run import Bench
 from scipy.spatial.transform import Rotation
 
 from r2h_batch import load_benchmark
@@ -268,23 +269,8 @@ def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
     shutil.rmtree(many)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--release", type=Path, help="folder with evaluation.py and planning.py of the release")
-    parser.add_argument("--method", default="contact")
-    # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
-    parser.add_argument("--benchmark", default="r2h-release")
-    parser.add_argument("--trials", type=int, default=25, help="of each split, in the loop")
-    parser.add_argument("--flags", type=int, default=25, help="trials whose flags are compared, at few samples of Safe")
-    parser.add_argument(
-        "--judged", type=int, default=1, help="motions that theirs judges at all samples: half a minute each"
-    )
-    parser.add_argument("--planned", type=int, default=4, help="trials that theirs plans")
-    parser.add_argument("--palms", type=int, default=8, help="palms of each object, for inverse kinematics")
-    parser.add_argument("--imported", type=int, default=200)
-    parser.add_argument("--json")
-    args = parser.parse_args()
-    report = Report(MEASURES)
+def run(args: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made)
         own, files = folder / "own", folder / "files"
@@ -316,8 +302,26 @@ def main() -> None:
         if args.release:
             beside(report, args.release, files, folder, args)
     report.add("release.core_s", time.process_time() + child_seconds())
-    report.write(args.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--release": {"type": Path, "help": "folder with evaluation.py and planning.py of the release"},
+        "--method": {"default": "contact"},
+        # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
+        "--benchmark": {"default": "r2h-release"},
+        "--trials": {"default": 25, "help": "of each split, in the loop"},
+        "--flags": {"default": 25, "help": "trials whose flags are compared, at few samples of Safe"},
+        "--judged": {"default": 1, "help": "motions that theirs judges at all samples: half a minute each"},
+        "--planned": {"default": 4, "help": "trials that theirs plans"},
+        "--palms": {"default": 8, "help": "palms of each object, for inverse kinematics"},
+        "--imported": {"default": 200},
+    },
+    peer="the authors' program",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -52,6 +52,7 @@ class Bench:
         for name, how in self.flags.items():
             parser.add_argument(name, **typed(how))
         options = parser.parse_args(given)
+        options.json = options.json and options.json.resolve()  # some benches work in another folder
         report = Report(self.measures)
         report.beside = dict(self.run(options, report) or {})
         report.write(options.json)

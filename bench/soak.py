@@ -21,7 +21,8 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
-from _report import ROOT, Report, arguments, resident_mib
+from _report import ROOT, Report, resident_mib
+from run import Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
@@ -219,20 +220,8 @@ def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
     return {**seen, "ms_per_call": 1e3 * (time.perf_counter() - start) / calls}
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("mode", choices=("array", "long", "calls"))
-    parser.add_argument("--trials", type=int, help="of each of two splits; array: 50,000, long: 20,000")
-    parser.add_argument("--shard-trials", type=int, help="array: 1000, long: 1000")
-    parser.add_argument("--kill-every", type=float, default=3.0, help="seconds between kills, on average")
-    parser.add_argument("--seed", type=int, default=0, help="of the kills")
-    parser.add_argument("--folder", type=Path, help="keep both run folders here")
-    parser.add_argument("--parts", type=int, default=4, help="array: jobs, all at once")
-    parser.add_argument("--kills", type=int, default=30, help="array: of jobs")
-    parser.add_argument("--limit-s", type=float, default=float("inf"), help="long: end the undisturbed run then")
-    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS, help="calls: what they ask for")
-    parser.add_argument("--calls", type=int, default=COUNTS[-1], help="calls: of each kind")
-    given, report = parser.parse_args(), Report(MEASURES)
+def run(given: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     given.trials = given.trials or (50_000 if given.mode == "array" else 20_000)
     given.shard_trials = given.shard_trials or 1000
     if given.mode == "calls":
@@ -241,8 +230,27 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as temporary:
             run = array if given.mode == "array" else long
             run(given, given.folder or Path(temporary), report, random.Random(given.seed))
-    report.write(given.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "mode": {"choices": ("array", "long", "calls")},
+        "--trials": {"type": int, "help": "of each of two splits; array: 50,000, long: 20,000"},
+        "--shard-trials": {"type": int, "help": "array: 1000, long: 1000"},
+        "--kill-every": {"default": 3.0, "help": "seconds between kills, on average"},
+        "--seed": {"default": 0, "help": "of the kills"},
+        "--folder": {"type": Path, "help": "keep both run folders here"},
+        "--parts": {"default": 4, "help": "array: jobs, all at once"},
+        "--kills": {"default": 30, "help": "array: of jobs"},
+        "--limit-s": {"type": float, "default": float("inf"), "help": "long: end the undisturbed run then"},
+        "--kinds": {"nargs": "+", "choices": KINDS, "default": KINDS, "help": "calls: what they ask for"},
+        "--calls": {"type": int, "default": COUNTS[-1], "help": "calls: of each kind"},
+    },
+    peer="an undisturbed run",
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -11,6 +11,7 @@ core_s_per_trial is process time, so other work on the machine counts little. st
 time of one more warm call, taken around the stages of evaluate.py; other = what is left (tensors, checks).
 """
 
+import argparse
 import statistics
 import time
 from collections.abc import Callable
@@ -18,7 +19,8 @@ from collections.abc import Callable
 import numpy as np
 import torch
 from _mix import MIX, load_mix
-from _report import Report, arguments
+from _report import Report
+from run import DEVICE, Bench
 
 import r2h_batch.base.launch as launch
 from r2h_batch import load_benchmark
@@ -73,15 +75,8 @@ def score_time(run: Callable[[], Scores]) -> tuple[float, float, Scores]:
     return time.perf_counter() - wall, time.process_time() - process, scores
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--trials", type=int, default=MIX_TRIALS, help="more than the mix has: the mix again")
-    parser.add_argument("--sim", default="none", choices=("none", "mujoco", "mjwarp"), help="see bench/execute.py")
-    parser.add_argument("--freeze", action="store_true", help="make the mix again and stop")
-    parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
-    options = parser.parse_args()
-    report = Report(MEASURES)
-
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
     start = time.perf_counter()
     config = EvalConfig(execute=ExecConfig(sim=options.sim))
     evaluator = Evaluator(load_benchmark(), config, device=options.device, threads=options.threads)
@@ -108,7 +103,6 @@ def main() -> None:
     report.add("throughput.trials_per_s_warm_best", options.trials / min(t[0] for t in times))
     report.add("throughput.core_s_per_trial", min(t[1] for t in times) / options.trials)
     report.add("throughput.trials_per_core_s", options.trials / min(t[1] for t in times))
-
     scores = run()
     path = scores.path_len > 0
     report.add("throughput.straight_line_share", float((scores.path_len[path] == 2).double().mean()))
@@ -117,8 +111,20 @@ def main() -> None:
         report.add(f"throughput.outcome.{outcome.name.lower()}", int((scores.outcome == int(outcome)).sum()))
     for reason in PlanReason:
         report.add(f"throughput.plan_reason.{reason.name.lower()}", int((scores.plan_reason == int(reason)).sum()))
-    report.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        **DEVICE,
+        "--trials": {"type": int, "default": MIX_TRIALS, "help": "more than the mix has: the mix again"},
+        "--sim": {"default": "none", "choices": ("none", "mujoco", "mjwarp"), "help": "see bench/execute.py"},
+        "--freeze": {"action": "store_true", "help": "make the mix again and stop"},
+        "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
+    },
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from _report import ROOT, Report, markdown_table, swept
+from run import Bench
 
 from r2h_batch.report.table import record, table_of
 from r2h_batch.runs.store import load_run
@@ -186,18 +187,10 @@ FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_perce
 """How the table shows a figure."""
 
 
-def main() -> None:
+def run(options: argparse.Namespace, result: Report) -> None:
     """Tries every file and writes the figures."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--files", type=Path, required=True, help="folder of the vendors' files, unpacked")
-    parser.add_argument("--only", nargs="+", default=[*ROBOTS], choices=[*ROBOTS], help="names of ROBOTS")
-    parser.add_argument("--trials", type=int, default=20, help="of each split, for the oracle")
-    parser.add_argument("--out", type=Path, required=True, help="robots and figures; what is there is not tried again")
-    parser.add_argument("--json", type=Path)
-    options = parser.parse_args()
     os.environ["MUJOCO_GL"] = os.environ.get("MUJOCO_GL", "osmesa")  # of the commands: they draw home.png
     here = {n: ROBOTS[n] for n in options.only if (options.files / ROBOTS[n].path).is_file()}
-    result = Report(MEASURES)
     found: dict[str, dict[str, Any]] = {}
     options.out.mkdir(parents=True, exist_ok=True)
     for name, sold in here.items():
@@ -213,8 +206,19 @@ def main() -> None:
     result.add("vendors.arms", len({ROBOTS[n].arm for n in through}))
     result.add("vendors.trials", options.trials)
     result.add("vendors.table", table(found))
-    result.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        "--files": {"type": Path, "required": True, "help": "folder of the vendors' files, unpacked"},
+        "--only": {"nargs": "+", "default": [*ROBOTS], "choices": [*ROBOTS], "help": "names of ROBOTS"},
+        "--trials": {"default": 20, "help": "of each split, for the oracle"},
+        "--out": {"type": Path, "required": True, "help": "robots and figures; what is there is not tried again"},
+    },
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()
