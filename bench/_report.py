@@ -122,22 +122,6 @@ def swept(folder: Path, *words: object) -> Path:
     return sys.exit(code) if code else folder
 
 
-def page_from(
-    parser: argparse.ArgumentParser,
-    stored: Path,
-    page: Path,
-    measure: Callable[[argparse.Namespace], Mapping[str, Any]],
-    markdown: Callable[[Any], str],
-) -> None:
-    """Measures, stores the JSON and writes the page; `--render` writes the page again from the JSON."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
-    options = parser.parse_args()
-    if not options.render:
-        stored.write_text(json.dumps(measure(options), indent=1) + "\n")
-    page.write_text(markdown(json.loads(stored.read_text())))
-
-
 def core_ms(call: Callable[[], object], parts: Mapping[str, Any], rounds: int = 3) -> dict[str, float]:
     """Process milliseconds of a call (median), and of the functions in it as a profiler sees them."""
     times = []

@@ -1,9 +1,10 @@
 """Methods on meshes of yours, beside Table I: docs/results/scans.md.
 
 `python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps
-the rows in bench/options/SET, the figures in bench/results/SET.json, and writes the page of all sets. It fetches nothing.
+the rows in bench/options/SET and the figures in bench/results/SET.json. It fetches nothing.
 NAME.yaml beside NAME.obj says what a mesh does not (docs/your_data.md); where there is none, the file of --about says a mesh's
-region, and whose it is. Meshes without a region are of S0. `--render` writes the page again from the JSON.
+region, and whose it is. Meshes without a region are of S0. Then
+`python bench/figures.py --write` writes the page.
 """
 
 import argparse
@@ -16,9 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from _report import ROOT, made_by, markdown_table
+from _report import ROOT, Report, markdown_table
 from _rows import kept_rows, rates_of
 from networks import region_areas
+from run import Bench
 
 from r2h_batch.methods.predictors import Contacts
 from r2h_batch.protocols.edit import MESHES
@@ -82,14 +84,13 @@ def copied(folder: Path, about: Mapping[str, Any]) -> Path:
     return COPIED
 
 
-def measure(options: argparse.Namespace) -> dict[str, Any]:
+def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     """Sweeps the meshes, keeps the rows, and counts."""
     from r2h_batch.runs.store import load_run
 
-    if options.folder is None:
-        raise SystemExit("give a folder of meshes, or --render")
     if options.about is None or options.about.stem not in SETS:
         raise SystemExit(f"give --about bench/SET.toml, SET one of {', '.join(SETS)}")
+    options.json = options.json or stored(options.about.stem)
     folder = options.folder.resolve()
     about = tomllib.loads(options.about.read_text("utf-8"))
     os.chdir(ROOT)
@@ -113,7 +114,6 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         "rates": {word: {split: counted(row) for split, row in own.items()} for word, own in found.items()},
         "by_object": {names[m]: by_object(run.trials(m, ["object", "outcome"]).to_pylist()) for m in run.methods},
         "areas": areas,
-        **made_by(MEASURES),
     }
 
 
@@ -128,54 +128,6 @@ def by_object(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
     for row in rows:
         won.setdefault(row["object"], []).append(row["outcome"] == "success")
     return {name: 100 * float(np.mean(own)) for name, own in sorted(won.items())}
-
-
-HEAD = """\
-# Your own meshes beside Table I
-
-See how the methods do on things of yours, and how far Table I tells it. In one column stand r2h-v2's objects, in the next the
-meshes of a folder: the same people, the same configuration.
-
-    r2h-batch sweep --method random oracle fc handover-va contact {unseen} intent \\
-        --objects FOLDER --execute.sim none --trials {trials} --out runs/mine
-    r2h-batch report RUN --scans runs/mine    # RUN: the same methods on r2h-v2
-
-The second command adds the column to Table I, with its interval. Say a mesh's region in a file beside it
-([your data](../your_data.md#objects)): without one it is of S0, where nothing is reserved for the receiver. Nothing is
-downloaded, and `report` names a folder by its last name alone.
-
-The tables have the mean of all categories in Table I, with its 95 % interval. Beside it stands the same of the meshes, with the
-95 % interval for the mean of all categories of such things. Then comes where the mean of 6 new ones lies ([statistical
-terms](../statistics.md)). Region AUC: how well the contact map finds the part that the receiver wants,
-mean over the things of S1 (0.5 is chance).
-
-Network and trees learned from generated things alone. `contact` knows the sixteen categories of r2h-v2. The next row
-(`{unseen}`) has never seen the category that a thing names: `category: hammer` in a file beside the mesh. A
-thing that is like none of the sixteen names none, and the mean of the four predictors answers.
-"""
-
-SECTION = """
-## {title}: {number} things
-
-{what}
-
-`python bench/scans.py FOLDER --about bench/{name}.toml` measured this (commit {commit}; {n} trials a split, motion as planned;
-rows in `bench/options/{name}`, figures in `bench/results/{name}.json`).
-
-{table}
-
-{order}
-
-### {title}: thing by thing
-
-SR in percent, about {s0} trials each in S0 and {s1} in S1. In brackets the contact maps' region AUC.
-
-{things}
-
-### {title}: names, sources, licences
-
-{names}
-"""
 
 
 def own(rates: Mapping[str, Any] | None) -> str:
@@ -214,28 +166,28 @@ def from_best(sr: Mapping[str, float]) -> str:
     return ", ".join(WORDS[w] for w in places)
 
 
-def order(data: Mapping[str, Any]) -> str:
-    """A sentence for each split: the order of the four methods here and in Table I."""
+def order(data: Mapping[str, Any]) -> dict[str, str]:
+    """Split -> the order of the four methods here and in Table I."""
     import families
 
     rows = json.loads(families.STORED.read_text())["table"]["rows"]
     known = {name: word for word, name in WORDS.items()}
-    lines = []
+    found = {}
     for split in ("S0", "S1"):
         here = {w: r[split]["sr"] for w, r in data["rates"].items() if split in r}
         there = {known[m]: r["sr"] for r in rows if r["split"] == split and (m := families.short(r["method"])) in known}
-        lines.append(f"- {split}, from the best: {from_best(here)} (Table I: {from_best(there)}).")
-    return "\n".join(lines)
+        found[split] = f"{from_best(here)} (Table I: {from_best(there)})"
+    return found
 
 
-def markdown(sets: Mapping[str, Mapping[str, Any]]) -> str:
-    """docs/results/scans.md, of what was measured on each set."""
-    trials = next(iter(sets.values()))["trials"]
-    return HEAD.format(unseen=UNSEEN, trials=trials) + "".join(section(name, data) for name, data in sets.items())
+def shown(_: Mapping[str, Any]) -> dict[str, Any]:
+    """Tables and words of the page: SET.KEY of what was measured on each set."""
+    sets = {name: json.loads(stored(name).read_text()) for name in SETS}
+    return {f"{name}.{key}": value for name, data in sets.items() for key, value in tables(data).items()}
 
 
-def section(name: str, data: Mapping[str, Any]) -> str:
-    """The page's part about a set."""
+def tables(data: Mapping[str, Any]) -> dict[str, Any]:
+    """What the page shows of a set."""
     known, areas = table_one(), data["areas"]
     lines = [
         [
@@ -257,18 +209,18 @@ def section(name: str, data: Mapping[str, Any]) -> str:
         for o in data["objects"]
     ]
     many = {split: sum(o["split"] == split for o in data["objects"]) for split in ("S0", "S1")}
-    origin = {k: v for k, v in data["origin"].items() if k != "title"}
-    return SECTION.format(
-        name=name, title=data["origin"].get("title", name), n=data["trials"], commit=str(data["commit"])[:12],
-        what=" ".join(f"{text[0].upper()}{text[1:]}." for text in origin.values()), number=len(data["objects"]),
-        s0=round(data["trials"] / max(1, many["S0"])), s1=round(data["trials"] / max(1, many["S1"])),
-        table=markdown_table(
+    return {
+        "number": len(data["objects"]),
+        "commit": data["commit"],
+        "trials": data["trials"],
+        **{f"of_each_{split.lower()}": round(data["trials"] / max(1, n)) for split, n in many.items()},
+        "table": markdown_table(
             ["", "S0, Table I", "S0, own meshes", "S1, Table I", "S1, own meshes", "region AUC"], lines
         ),
-        order=order(data),
-        things=markdown_table(["", "split", *(WORDS[w] for w in words)], things),
-        names=markdown_table(["mesh", "like", "region", "made by", "licence"], names, left=True),
-    )  # fmt: skip
+        **{f"order_{split.lower()}": words for split, words in order(data).items()},
+        "things": markdown_table(["", "split", *(WORDS[w] for w in words)], things),
+        "names": markdown_table(["mesh", "like", "region", "made by", "licence"], names, left=True),
+    }
 
 
 def stored(name: str) -> Path:
@@ -276,16 +228,18 @@ def stored(name: str) -> Path:
     return ROOT / "bench" / "results" / f"{name}.json"
 
 
+BENCH = Bench(
+    __doc__,
+    measure,
+    MEASURES,
+    {
+        "folder": {"type": Path, "help": "of meshes"},
+        "--about": {"type": Path, "help": "bench/SET.toml: whose the meshes are, and their regions"},
+        "--trials": {"default": TRIALS, "help": "of each split"},
+        "--methods": {"default": [*WORDS], "choices": WORDS},
+    },
+    peer="Table I, the same people and the same configuration",
+)
+
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("folder", type=Path, nargs="?", help="of meshes")
-    parser.add_argument("--about", type=Path, help="bench/SET.toml: whose the meshes are, and their regions")
-    parser.add_argument("--trials", type=int, default=TRIALS, help="of each split")
-    parser.add_argument("--methods", nargs="+", choices=WORDS, default=[*WORDS])
-    parser.add_argument("--render", action="store_true", help="the page again from the JSON")
-    chosen = parser.parse_args()
-    if not chosen.render:
-        found = measure(chosen)
-        stored(chosen.about.stem).write_text(json.dumps(found, indent=1) + "\n")
-    sets = {name: json.loads(stored(name).read_text()) for name in SETS if stored(name).exists()}
-    (ROOT / "docs" / "results" / "scans.md").write_text(markdown(sets))
+    BENCH.main()

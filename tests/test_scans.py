@@ -43,7 +43,7 @@ def test_no_committed_json_names_a_place_on_a_machine():
 
 
 def asked(folder, about, **other):
-    return argparse.Namespace(folder=folder, about=about, trials=2, methods=["random"], **other)
+    return argparse.Namespace(folder=folder, about=about, trials=2, methods=["random"], json=None, **other)
 
 
 def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monkeypatch):
@@ -60,7 +60,7 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
     about = tmp_path / "scans.toml"
     post = '[post]\ncategory = "bottle"\nregion = "z<0.4"\ncreator = "a box"\nlicence = "none"\n'
     about.write_text('source = "a test"\nmade = "by trimesh"\n' + post)
-    found = scans.measure(asked(meshes, about))
+    found = scans.measure(asked(meshes, about), None)
     rows = home / "bench" / "options" / "scans"
     for file in each([p for p in rows.rglob("*") if p.is_file()]):
         assert b"meshes/" not in file.read_bytes() and str(tmp_path).encode() not in file.read_bytes(), file
@@ -79,17 +79,16 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
     assert (
         home / "runs" / "scans-objects" / "post.yaml"
     ).read_text() == 'split: S1\nreceiver: "z<0.4"\ncategory: bottle\n'
-    page = scans.markdown({"scans": found, "scanned": {**found, "origin": {"title": "Again"}}})
-    assert page.count("| post | bottle | z<0.4 | a box | none |") == 2
-    assert page.index("## scans: 2 things") < page.index("A test. By trimesh.") < page.index("## Again: 2 things")
+    shown = scans.tables(found | {"commit": "1" * 40})
+    assert shown["number"] == 2 and "| post | bottle | z<0.4 | a box | none |" in shown["names"]
     monkeypatch.setattr(scans, "ROOT", home)
     about.write_text('[vase]\nregion = "z<0.4"\n')
     with pytest.raises(SystemExit, match=r"--about names vase, and .* has no such mesh"):
-        scans.measure(asked(meshes, about))
+        scans.measure(asked(meshes, about), None)
     with pytest.raises(SystemExit, match="no mesh is there; give a folder with files of"):
-        scans.measure(asked(home, about))
+        scans.measure(asked(home, about), None)
     with pytest.raises(SystemExit, match=r"give --about bench/SET\.toml, SET one of scanned, scans"):
-        scans.measure(asked(meshes, None))
+        scans.measure(asked(meshes, None), None)
 
 
 def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_path):
@@ -109,11 +108,6 @@ def test_a_mesh_names_the_category_that_its_predictor_must_not_have_seen(tmp_pat
     (tmp_path / "all.yaml").write_text("objects:\n- {built_in: cup, category: hammer}\n")
     with pytest.raises(FileError, match="object cup: a built-in object has its own category; leave category out"):
         edited(BenchmarkChoice(benchmark="r2h-v2", objects=str(tmp_path / "all.yaml")))
-
-
-def test_the_page_is_what_both_jsons_give(scans):
-    page = (ROOT / "docs" / "results" / "scans.md").read_text("utf-8")
-    assert page == scans.markdown({name: stored(name) for name in scans.SETS}), "python bench/scans.py --render"
 
 
 @pytest.mark.parametrize("name", ["scanned", "scans"])
