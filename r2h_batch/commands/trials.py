@@ -1,5 +1,6 @@
 """The command `export trials`: what a method may read. Light until there is work."""
 
+import json
 from pathlib import Path
 from typing import Literal
 
@@ -41,7 +42,11 @@ def trials(
     digest = write_trials(
         out, chosen, trials, benchmark=found, open_formats=open_formats, flags=benchmark.flags()
     )
+    written = json.loads((out / "manifest.json").read_text())[
+        "trials"
+    ]  # a trials file has its own number
+    each = ", ".join(f"{n} of {split}" for split, n in written.items())
     print(
-        f"{found.protocol}: {counted(trials, 'trials')} each of {', '.join(chosen)} in {out}, digest {digest}"
+        f"{found.protocol}: {counted(sum(written.values()), 'trials')} ({each}) in {out}, digest {digest}"
     )
     return 0

@@ -23,6 +23,8 @@ GRAVITY_M_S2, HELD_KG, LEAST_NM = 9.81, 2.0, 10.0
 at least the last of these [choice]."""
 SPEED_RAD_S = 2.0
 """Speed limit of a joint whose file says none, as no MJCF does [choice]."""
+LIMIT_TURNS, MOST_DEGREES = 4, 720.0
+"""No joint turns farther; limits between the two are degrees, larger ones say that there is no limit [choice]."""
 MOST_RAD_S, MOST_NM = 100.0, 1e5
 """Files write 1e9 where a joint has no limit. More than this limits no arm, so the file says no limit [choice]."""
 MOST_TURNS = 60
@@ -415,6 +417,12 @@ def _range(joint: Joint, shown: str) -> tuple[float, float]:
     low, high = joint.lower, joint.upper
     if joint.kind == "revolute":
         turn = 2 * np.pi
+        most = max(abs(low), abs(high))
+        if LIMIT_TURNS * turn < most <= MOST_DEGREES:
+            raise FileError(
+                f"{shown}: joint {printable(joint.name)}: limits {low:g} {high:g} rad are {most / turn:.0f} turns. Are they in"
+                ' degrees? A URDF has radians; write type="continuous" for a joint that turns endlessly'
+            )
         low, high = (-turn, turn) if np.isnan(low) else (max(low, -turn), min(high, turn))
     if not low < high:
         where = f"{shown}: joint {printable(joint.name)}"

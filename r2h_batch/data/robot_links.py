@@ -4,6 +4,7 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
+from urllib.parse import unquote
 
 import mujoco
 import numpy as np
@@ -192,6 +193,12 @@ def _shapes(geoms: list[Geom], where: str) -> tuple[Shape, ...]:
 
 
 def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
+    name, given_name = unquote(name) if "://" in name else name, name
+    if name.startswith("file://") and not name.startswith("file:///"):
+        inside = name.removeprefix("file://").removeprefix("localhost")
+        if not inside.startswith("/"):  # of the file's own folder, as nobody's host has such a name
+            return beside(model.path, inside, model.folders)
+        name = f"file://{inside}"
     if name.startswith("file://"):  # as xacro writes $(find NAME)
         path = Path("/", name.removeprefix("file://").lstrip("/")).resolve()
         for within in (model.path.resolve().parent, *(p.resolve() for p in packages.values())):
@@ -199,17 +206,24 @@ def _file_of(model: Model, name: str, packages: Mapping[str, Path]) -> Path:
                 return path_within(within, str(path.relative_to(within)))
         how = "give the folder above it with --package NAME=FOLDER"
         raise FileError(f"{model.shown}: {printable(name)[:120]} is outside its folder; {how}")
-    if not name.startswith("package://"):
-        return beside(model.path, name, model.folders)
-    package, _, inside = name.removeprefix("package://").partition("/")
+    scheme = next((s for s in ("package://", "model://") if name.startswith(s)), "")  # ROS, Gazebo
+    if not scheme:
+        at = beside(model.path, name, model.folders)
+        # "%20" may be a blank that a program wrote so, or stand in the file's name
+        return (
+            at
+            if at.exists() or "%" not in name
+            else beside(model.path, unquote(name), model.folders)
+        )
+    package, _, inside = name.removeprefix(scheme).partition("/")
     given = (*packages.values(), *model.folders)
     folder = packages.get(package) or _package_around(model.path, package, given)
     if folder is None and (folder := _folder_with(model.path, package, inside, given)) is not None:
-        what = f"{model.shown}: package://{printable(package)[:60]} is the folder {folder.name}"
+        what = f"{model.shown}: {scheme}{printable(package)[:60]} is the folder {folder.name}"
         warnings.warn(f"{what}, which holds what it names", stacklevel=2)
     if folder is None:
         how = f"give --package {printable(package)}=FOLDER"
-        raise FileError(f"{model.shown}: {printable(name)[:120]}: {how}")
+        raise FileError(f"{model.shown}: {printable(given_name)[:120]}: {how}")
     return path_within(folder, inside)
 
 

@@ -82,7 +82,13 @@ class Sweep(Options):
         splits = [s for s in SPLITS if s in self.splits]
         if benchmark.listed is None:
             self._check_splits({o.split for o in benchmark.objects})
-            return dict.fromkeys(splits, self.trials)
+            plan = dict.fromkeys(splits, self.trials)
+            if none := [
+                name for name, (own, *_) in self._of_added(benchmark, plan).items() if not own
+            ]:
+                words = f"a larger --trials reaches {printable(none[0])}"
+                raise UsageError(f"{self.shares(benchmark, plan)}, and {words}")
+            return plan
         if self.trials != Options.trials:
             words = "a trials file has its own number, so leave --trials out"
             raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
@@ -102,18 +108,25 @@ class Sweep(Options):
         """
         if not self.object_mesh or benchmark.listed is not None:
             return ""
-        added, words = benchmark.objects[-len(self.object_mesh) :], []
-        for model in added:
+        words = [
+            f"{printable(name)} gets {own or 'none'} of {n} trials of {split} ({objects} objects)"
+            for name, (own, n, split, objects) in self._of_added(benchmark, plan).items()
+        ]
+        how = "--objects FOLDER judges your meshes alone"
+        return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
+
+    def _of_added(
+        self, benchmark: "Benchmark", plan: Mapping[str, int]
+    ) -> dict[str, tuple[int, int, str, int]]:
+        """Object of --object-mesh -> its trials, those of its split, the split, and how many objects that has."""
+        found = {}
+        for model in benchmark.objects[len(benchmark.objects) - len(self.object_mesh) :]:
             of_split = [o for o in benchmark.objects if o.split == model.split]
             rounds, rest = divmod(plan.get(model.split, 0), len(of_split))
             turn = next(i for i, o in enumerate(of_split) if o is model)
             own = rounds + (turn < rest)
-            words.append(
-                f"{printable(model.name)} gets {own or 'none'} of {plan.get(model.split, 0)} trials of {model.split}"
-                f" ({len(of_split)} objects)"
-            )
-        how = "--objects FOLDER judges your meshes alone"
-        return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
+            found[model.name] = (own, plan.get(model.split, 0), model.split, len(of_split))
+        return found
 
     def _check_splits(self, known: set[str]) -> None:
         if missing := [s for s in SPLITS if s in self.splits and s not in known]:

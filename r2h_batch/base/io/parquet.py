@@ -9,6 +9,7 @@ from __future__ import annotations
 import io
 import json
 import os
+import re
 import sys
 import tempfile
 from collections.abc import Collection, Sequence
@@ -31,6 +32,10 @@ SECONDS, BYTES_A_SECOND = 60, 10_000_000
 
 _MODULE = "r2h_batch.base.io.parquet"
 _COPY, _MAGIC = "copy it again", b"PAR1"
+
+
+INDEX = re.compile(r"__index_level_\d+__")
+"""The index of a pandas frame, which it stores as a column without saying so."""
 
 
 def read_parquet_arrays(
@@ -167,6 +172,8 @@ def _arrays(
         )
         table = file.read().unify_dictionaries()
     for name in table.column_names:
+        if INDEX.fullmatch(name):
+            continue
         column, shown = table[name].combine_chunks(), printable(name)[:60]
         if column.null_count:
             raise FileError(f"{shown!r} is empty in {column.null_count} rows")

@@ -13,6 +13,10 @@ MAX_WORD = 200
 MAX_CSV_BYTES = 512 << 20
 
 
+INDEX = ("", "Unnamed: 0")
+"""The column of a pandas frame's index, written once and twice."""
+
+
 def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[str, Any]:
     """The arrays of a CSV file in UTF-8 whose first line names the columns, in any order.
 
@@ -46,6 +50,7 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
             why = printable(error)[:200]
             how = "save it as CSV UTF-8, with commas"
             raise FileError(f"{where}: no readable CSV ({why}); {how}") from None
+    names = [n for n in names if n not in INDEX]
     # the first one only: counting each of a million names would take hours
     odd = next((n for n in names if n not in kinds or names.count(n) > 1), None)
     if odd is not None:

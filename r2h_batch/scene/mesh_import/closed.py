@@ -99,6 +99,24 @@ class Closed:
     repair: Repair
 
 
+UNITS = (("metres", 1.0), ("millimetres", 0.001), ("centimetres", 0.01), ("inches", 0.0254))
+USUAL_M = (0.03, 0.6)
+"""Largest sides of things that are handed over: a factor is named where it gives one."""
+
+
+def _units(side: float, scale: float) -> str:
+    """What to do about a mesh whose largest side is so many of its own units; no factor where none gives a usual size."""
+    fits = [(words, f) for words, f in UNITS if f != scale and USUAL_M[0] <= side * f <= USUAL_M[1]]
+    if not fits:
+        return "lengths are in metres, and in no usual unit (mm, cm, inch) is it 3 to 60 cm: look at the file"
+    each = " or ".join(f"{f:g} (in {words} it is {100 * side * f:.3g} cm)" for words, f in fits)
+    first = fits[0][1]
+    return (
+        f"give a scale of {each}: `scale: {first:g}` in a benchmark file, or in NAME.yaml beside NAME.obj in a folder for"
+        f" --objects, scale={first:g} in Python; or export it in metres"
+    )
+
+
 def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) -> Closed:
     """The closed outward-wound surface of a mesh.
 
@@ -119,7 +137,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     budget = Budget(label)
     vertices = np.asarray(read.vertices, np.float64) * scale
     faces = np.asarray(read.faces, np.int64)
-    check_mesh(vertices, faces, label)
+    check_mesh(vertices, faces, label, scale)
     done: list[str] = []
     mesh = _merged(vertices, faces, done)
     same = len(mesh.faces) == len(faces)
@@ -561,8 +579,11 @@ def _separate_bodies(mesh: trimesh.Trimesh, budget: Budget) -> list[float]:
     return sorted(map(float, sides), reverse=True)
 
 
-def check_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str) -> None:
-    """Raise `ObjectMeshError` for a mesh that is empty, not finite, or of no object's size."""
+def check_mesh(
+    vertices: NDArray[np.float64], faces: NDArray[np.int64], label: str, scale: float = 1.0
+) -> None:
+    """Raise `ObjectMeshError` for a mesh that is empty, not finite, or of no object's size, which came of its file's numbers
+    times `scale`."""
     if len(faces) == 0 or len(vertices) == 0:
         raise ObjectMeshError(
             f"{label}: the mesh is empty ({len(vertices)} vertices, {len(faces)} faces)"
@@ -583,16 +604,9 @@ def check_mesh(vertices: NDArray[np.float64], faces: NDArray[np.int64], label: s
         )
     low, high = used.min(axis=0), used.max(axis=0)
     side = float((high - low).max())
-    if side > LARGEST_M:
+    if not SMALLEST_M <= side <= LARGEST_M:
         raise ObjectMeshError(
-            f"{label}: the largest side is {side:.6g} m, allowed are {SMALLEST_M} to {LARGEST_M} m; "
-            "a mesh in millimetres needs a scale of 0.001: `scale: 0.001` in a benchmark file, or in NAME.yaml beside NAME.obj in"
-            " a folder for --objects, scale=0.001 in Python; or export it in metres"
-        )
-    if side < SMALLEST_M:
-        raise ObjectMeshError(
-            f"{label}: the largest side is {side:.6g} m, allowed are {SMALLEST_M} to {LARGEST_M} m; "
-            "lengths are in metres: give a scale (0.01 made centimetres into metres once too often?)"
+            f"{label}: the largest side is {side:.6g} m, allowed are {SMALLEST_M} to {LARGEST_M} m; {_units(side / scale, scale)}"
         )
     if float(np.abs((low + high) / 2).max()) > FARTHEST_M:
         raise ObjectMeshError(

@@ -150,8 +150,14 @@ def _read_grouped(
     than two)."""
     options: dict[str, Any] = {"process": False, "maintain_order": True, "skip_materials": True}
     none: tuple[NDArray[np.int64], list[str]] = (np.zeros(0, np.int64), [])
-    if kind == "obj" and (found := _obj_groups(data.getvalue())) is not None:
-        return found
+    if kind == "obj":
+        text = _plain_obj(data.getvalue())
+        if (found := _obj_groups(text)) is not None:
+            return found
+        mesh = trimesh.load_mesh(io.BytesIO(text), file_type=kind, resolver=resolver, **options)
+        if (told := _told_faces(text)) and len(getattr(mesh, "faces", ())) != told:
+            mesh = _obj_triangles(text.decode("utf-8", "replace").splitlines(), "g")[0]
+        return mesh, *none
     if kind not in ("glb", "gltf", "dae"):
         return trimesh.load_mesh(data, file_type=kind, resolver=resolver, **options), *none
     scene = trimesh.load_scene(data, file_type=kind, resolver=resolver, **options)
@@ -178,6 +184,19 @@ def _read_grouped(
     if not 2 <= len(set(names)) <= MOST_GROUPS:
         return made, *none
     return made, *_numbered(np.concatenate(part), names)
+
+
+def _plain_obj(text: bytes) -> bytes:
+    """An OBJ with one blank between two words and none before the first: trimesh leaves out lines with tabs or indents."""
+    text = re.sub(rb"\\[ \t]*\r?\n", b" ", text)  # a line that goes on
+    if not re.search(rb"\t|^ ", text, re.MULTILINE):
+        return text
+    return b"\n".join(b" ".join(line.split()) for line in text.splitlines()) + b"\n"
+
+
+def _told_faces(text: bytes) -> int:
+    """How many triangles the `f` lines of an OBJ make."""
+    return sum(len(line.split()) - 3 for line in text.splitlines() if line[:2] == b"f ")
 
 
 def _obj_groups(text: bytes) -> tuple[Any, NDArray[np.int64], list[str]] | None:
