@@ -6,12 +6,22 @@ import sys
 import threading
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
+import trimesh
 from made_runs import write_run
+from robot_files import read_arm, write_urdf
 from sweep_command import PLAIN, in_process
 
 from r2h_batch.__main__ import main
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.parquet import read_parquet_arrays
+from r2h_batch.base.io.tables import read_csv_arrays
 from r2h_batch.report.table import brief, table_of
+from r2h_batch.scene.mesh_import.closed import closed_mesh
+from r2h_batch.scene.mesh_import.file import load_mesh_file
+from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.sweep.command import stop_signals
 from r2h_batch.types import Outcome
 
@@ -103,3 +113,80 @@ def test_a_method_that_answers_no_poses_is_told_which_matrix_and_what_to_do(tmp_
     assert len(said) == 2 and "T_obj_ee" in said[0] and "transpose" in said[0] and "NaN" in said[1]
     assert main(["why", str(tmp_path / "run"), "0"]) == 0
     assert "T_obj_ee is no pose" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("kind", ["tabs", "indents", "tabs in some lines", "lines that go on"])
+def test_an_obj_with_other_white_space_is_read_as_a_whole(tmp_path, kind):
+    ball = trimesh.creation.icosphere(1, 0.05)
+    lines = [f"v {x} {y} {z}" for x, y, z in ball.vertices] + [f"f {a} {b} {c}" for a, b, c in ball.faces + 1]
+    if kind == "tabs":
+        lines = [line.replace(" ", "\t") for line in lines]
+    elif kind == "indents":
+        lines = [f"  {line}" for line in lines]
+    elif kind == "tabs in some lines":
+        lines = [line.replace(" ", "\t") if k % 7 == 0 else line for k, line in enumerate(lines)]
+    else:
+        lines = [line.replace(" ", " \\\n", 1) if line[0] == "f" else line for line in lines]
+    (tmp_path / "ball.obj").write_text("\n".join(lines) + "\n")
+    read = load_mesh_file(tmp_path / "ball.obj", "ball")
+    np.testing.assert_array_equal(read.triangles, ball.triangles)
+
+
+@pytest.mark.parametrize(
+    ("side", "named"),
+    [(90.0, "0.001"), (12.0, "0.01 (in centimetres it is 12 cm) or 0.0254"), (4.0, "0.01 "), (1e6, None), (1e-5, None)],
+)
+def test_a_mesh_in_another_unit_is_told_the_factors_that_give_a_things_size(side, named):
+    with pytest.raises(ObjectMeshError) as refused:
+        closed_mesh(trimesh.creation.box([side] * 3), "cup", 1.0)
+    words = str(refused.value)
+    assert ("give a scale of" in words) == (named is not None) and (
+        named is None or f"give a scale of {named}" in words
+    )
+
+
+def test_the_factor_is_for_the_files_own_numbers():
+    with pytest.raises(ObjectMeshError, match=r"give a scale of 0\.01 "):
+        closed_mesh(trimesh.creation.box([8.0] * 3), "cup", 0.001)
+
+
+NAMES = ["file://parts/block.stl", "file://localhost{}/parts/block.stl", "file://{}/parts/bl%6Fck.stl", "parts/bl%6Fck.stl",
+         "model://parts/block.stl", "package://parts/bl%6Fck.stl"]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_urdf_names_its_meshes_as_other_programs_do(tmp_path, name):
+    mesh = f'"{name.format(tmp_path)}"'
+    chain, links = read_arm(write_urdf(tmp_path, **{'"parts/block.stl"': mesh}))
+    assert len(chain.joints) == 7 and all(len(link.triangles) for link in links[:6])
+
+
+def test_limits_of_a_urdf_in_degrees_are_refused(tmp_path):
+    file = write_urdf(tmp_path)
+    text = file.read_text()
+    first = text.index("<limit lower=")
+    file.write_text(
+        text[:first]
+        + '<limit lower="-180" upper="180" effort="50" velocity="2"/>'
+        + text[text.index("/>", first) + 2 :]
+    )
+    with pytest.raises(FileError, match=r"j1: limits -180 180 rad are 29 turns. Are they in degrees"):
+        read_arm(file)
+
+
+def test_the_index_of_a_frame_is_no_column(tmp_path):
+    columns = {"trial_id": [3, 4], "__index_level_0__": [0, 1]}
+    pq.write_table(pa.table(columns), tmp_path / "a.parquet")
+    arrays, _ = read_parquet_arrays(tmp_path / "a.parquet", most=1 << 20, rows=10)
+    assert list(arrays) == ["trial_id"]
+    for index in ("", "Unnamed: 0"):
+        (tmp_path / "a.csv").write_text(f"{index},trial_id\n0,3\n1,4\n")
+        assert list(read_csv_arrays(tmp_path / "a.csv", {"trial_id": ("int64", 1)})) == ["trial_id"]
+
+
+def test_an_object_that_gets_no_trial_is_refused_before_anything_is_judged(tmp_path):
+    trimesh.creation.box([0.06, 0.06, 0.1]).export(tmp_path / "box.obj")
+    line = ["--method", "random", "--object-mesh", tmp_path / "box.obj", "--splits", "S0", "--trials", 2]
+    done = in_process(*line, "--out", tmp_path / "run")
+    assert done.returncode == 2 and "box gets none of 2 trials of S0" in done.stderr
+    assert not (tmp_path / "run").exists()

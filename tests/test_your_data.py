@@ -46,13 +46,13 @@ def test_the_yaml_of_the_page_is_a_benchmark_file_and_names_all_its_fields(tmp_p
 
 def test_the_python_of_the_page_writes_files_that_are_read(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    base = load_benchmark("r2h-v1")
+    default, base = load_benchmark(), load_benchmark("r2h-v1")  # the page names none for its trials
     for text in CODE["python"]:
         if "np.savez" in text:
             (tmp_path / "x.py").write_text(text)
             runpy.run_path("x.py")
-    trials, _, _ = read_trials_file(tmp_path / "two.npz", base.objects, base.hand_set)
-    assert [base.objects[i].name for i in trials.object_index.tolist()] == ["cup", "hammer"]
+    trials, _, _ = read_trials_file(tmp_path / "two.npz", default.objects, default.hand_set)
+    assert [default.objects[i].name for i in trials.object_index.tolist()] == ["cup_00", "hammer_00"]
     seen = read_observations(base.objects, base.hand_set.model, hands="exact.npz")
     seen.check_trials(load_benchmark("r2h-v1").trials(5).trial_id.numpy())
     assert seen.sources() == {"target": "exact"} and np.load("exact.npz")["trial_id"].shape == (10,)
