@@ -1,7 +1,6 @@
 """Shared by benches: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory;
 profiles."""
 
-import argparse
 import cProfile
 import json
 import os
@@ -199,16 +198,6 @@ def hardware() -> dict[str, object]:
         "devices": ["cpu", *(gpus.splitlines() if gpus else [])],
         "platform": f"{platform.system()} {platform.machine()}",
     }
-
-
-def arguments(description: str | None) -> argparse.ArgumentParser:
-    """A parser with the options all benchmarks share."""
-    parser = argparse.ArgumentParser(description=description)
-    parser.add_argument(
-        "--json", type=Path, metavar="FILE", help="write the figures with commit, versions and hardware"
-    )
-    parser.add_argument("--device", default="cpu", help="cpu or cuda:0 (default: cpu)")
-    return parser
 
 
 def _cpu_model() -> str:

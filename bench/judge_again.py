@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 import torch
 from _report import Report
+from _rows import poses_of, rows_of
 from _twins import Again, Finding, episode_of, reception_of
 from meshes import drawn
 from run import Bench
@@ -117,15 +118,6 @@ class Tally:
             print(f"  {where} {found.name}: {says}: {', '.join(faults)}", flush=True)
 
 
-def rows_of(run: Any, method: str) -> dict[int, dict[str, Any]]:
-    """Trial id -> its columns of all files."""
-    rows: dict[int, dict[str, Any]] = {}
-    for table in (run.trials(method), run.details(method), run.poses(method), run.paths(method)):
-        for row in table.to_pylist():
-            rows.setdefault(row["trial_id"], {}).update(row)
-    return rows
-
-
 def again_of(judge: Judge, trials: Any, row: dict[str, Any]) -> Again:
     """The twin of a row, with the poses that the robot carried out and the hand that the planner saw."""
     scene, config = judge.evaluator.scene, judge.evaluator.config
@@ -148,7 +140,7 @@ def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator
     if name not in ("reception", "closed"):
         yield from ((i, twin.findings()) for i, twin in twins.items())
         return
-    T_obj_ee, T_world_ee = poses_of(rows)
+    T_obj_ee, T_world_ee = poses_of([*rows.values()])
     scores = judge.evaluator.score(T_obj_ee, T_world_ee, trials)
     if name == "reception":
         found = reception(scores)
@@ -159,14 +151,6 @@ def judged(name: str, judge: Judge, rows: dict[int, dict[str, Any]]) -> Iterator
     env = HandoverEnv(scores, "moves", action=kind)
     play(env, policy)
     yield from ((i, episode_of(twin, env, k)) for k, (i, twin) in enumerate(twins.items()))
-
-
-def poses_of(rows: dict[int, dict[str, Any]]) -> list[torch.Tensor]:
-    """T_obj_ee and T_world_ee of rows, (N, 4, 4)."""
-    return [
-        torch.tensor(np.array([r[k] for r in rows.values()], np.float32)).view(-1, 4, 4)
-        for k in ("T_obj_ee", "T_world_ee")
-    ]
 
 
 def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: int) -> tuple[int, dict[str, Tally]]:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import torch
 from _report import ROOT, Report, made_by, markdown_table, memory_over
+from _rows import over_categories, paired_over_categories
 from run import Bench
 
 if TYPE_CHECKING:
@@ -298,42 +299,6 @@ def handed_over(folder: Path, trials: int) -> dict[str, Any]:
     ours, theirs = ends.values()
     paired = {s: {k: paired_over_categories(ours[k], theirs[k], splits, kinds, s) for k in HANDED} for s in SPREAD}
     return {"of": trials, "rates": rates, "paired": paired}
-
-
-def over_categories(hit: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str) -> list[float]:
-    """Percent of the trials of some splits, mean of the splits, and the ends of its 95 % interval for all categories."""
-    from r2h_batch.report.statistics.aggregate import clustered_rate, mean_rate
-
-    found = []
-    for split in only.split("+"):
-        names, place = np.unique(kinds[splits == split], return_inverse=True)
-        rate = clustered_rate(np.bincount(place, hit[splits == split], len(names)), np.bincount(place))
-        assert rate is not None, f"{split} has one category"
-        found.append(rate)
-    rate = mean_rate(found)
-    return [rate.percent, rate.low, rate.high]
-
-
-def paired_over_categories(
-    a: np.ndarray, b: np.ndarray, splits: np.ndarray, kinds: np.ndarray, only: str
-) -> dict[str, float]:
-    """Difference of two methods on the same trials, points, its 95 % interval for all categories (`r2h-batch compare`: 95 % all),
-    and how many trials only one of them has."""
-    from r2h_batch.report.statistics.intervals import over_clusters, paired_score_interval
-
-    rows = np.isin(splits, only.split("+"))
-    more, strata = a.astype(float) - b, []
-    for split in only.split("+"):
-        own = splits == split
-        _, place = np.unique(kinds[own], return_inverse=True)
-        strata.append((np.bincount(place, more[own]), np.bincount(place)))
-    spread = float(np.var(more[rows]))
-    over = over_clusters(strata, spread)
-    assert over is not None
-    first, second, n = int((a & ~b)[rows].sum()), int((b & ~a)[rows].sum()), int(rows.sum())
-    least, (low, high) = paired_score_interval(first, second, n), over.ends()
-    ends = 100 * min(low, least[0]), 100 * max(high, least[1])
-    return {"points": 100 * over.value, "low": ends[0], "high": ends[1], "only first": first, "only second": second}
 
 
 def generator(place: Path) -> dict[str, Any]:

@@ -19,11 +19,9 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _report import ROOT, Report, markdown_table, swept
+from _report import ROOT, Report, markdown_table
+from _rows import oracle_percent
 from run import Bench
-
-from r2h_batch.report.table import record, table_of
-from r2h_batch.runs.store import load_run
 
 MEASURES = (
     "bench/registry_arms.py",
@@ -200,13 +198,7 @@ def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
         "reach_mm": 1e3 * report["reach_m"],
         "offset": report.get("offset", ""),
     }
-    flags = ("--benchmark", "r2h-v1", "--method", "oracle", "--trials", trials, "--execute.sim", "none", "--quiet")
-    try:
-        run = swept(out / f"{name}_run", "--robot", out / name, *flags)
-    except SystemExit:  # what it refuses it has said
-        return found | {"oracle_percent": 0.0}
-    (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
-    return found | {"oracle_percent": row["sr"]}
+    return found | {"oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
 
 
 FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f", "cpu_seconds": ".0f"}

@@ -38,14 +38,13 @@ import pictures
 import ranks
 import sensitivity
 from _report import ROOT, markdown_table, swept
+from _rows import keep
 
 RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 LEARNED = ("learned",)
 """It was trained for the default benchmark, and came later: its rows stand in folders of their own."""
 CHOICES = "table1-v1-choices.json"
-KEPT = ("run.json", "methods", "shards")
-"""Files of a run folder that are stored and read again."""
 
 
 @dataclass(frozen=True)
@@ -355,14 +354,7 @@ def render_all() -> dict[Path, str]:
 def install(place: Path, commit: str) -> None:
     """The rows from the sweeps' folders, then all that is made of them."""
     for p in PUBLISHED:
-        target = ROOT / p.rows
-        shutil.rmtree(target, ignore_errors=True)
-        target.mkdir(parents=True)
-        for name in KEPT:
-            if (place / p.name / name).is_dir():
-                shutil.copytree(place / p.name / name, target / name)
-            elif (place / p.name / name).exists():
-                shutil.copy(place / p.name / name, target / name)
+        keep(place / p.name, ROOT / p.rows)
     for name in ("sensitivity.json", CHOICES):
         shutil.copy(place / name, ROOT / RESULTS)
     write(render_all())

@@ -10,6 +10,7 @@ counts little), its smallest, and candidates_per_2_core_s what two cores would d
 On CUDA there is one kind of time: wall, synchronised.
 """
 
+import argparse
 import statistics
 import time
 from collections.abc import Callable
@@ -18,7 +19,8 @@ from typing import Any
 import numpy as np
 import torch
 from _mix import Poses, load_mix, on, repeated
-from _report import Report, arguments
+from _report import Report
+from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import launch
@@ -106,12 +108,9 @@ def sizes(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock, larges
         report.add(f"{name}.candidates_per_2_core_s", 2 * b / core)
 
 
-def main() -> None:
-    parser = arguments(__doc__)
-    parser.add_argument("--largest", type=int, default=None, help="largest batch (default: 65,536; 1,048,576 on CUDA)")
-    parser.add_argument("--threads", type=int, default=None, help="CPU threads (default: one per core)")
-    options = parser.parse_args()
-    report, clock = Report(MEASURES), Clock(options.device)
+def run(options: argparse.Namespace, report: Report) -> None:
+    """Measures all of it."""
+    clock = Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
     evaluator = Evaluator(
         load_benchmark(),
@@ -121,7 +120,6 @@ def main() -> None:
     )
     mix = candidates(evaluator, "mix")
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
-
     sizes(report, evaluator, mix, clock, largest)
     near = repeated(candidates(evaluator, "perturbed"), 4096)
     for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
@@ -138,8 +136,18 @@ def main() -> None:
         report.add(
             f"training_loop.{name}.stability_failures", float((s.outcome == int(Outcome.STABILITY)).double().mean())
         )
-    report.write(options.json)
 
+
+BENCH = Bench(
+    __doc__,
+    run,
+    MEASURES,
+    {
+        **DEVICE,
+        "--largest": {"type": int, "help": "largest batch (default: 65,536; 1,048,576 on CUDA)"},
+        "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
+    },
+)
 
 if __name__ == "__main__":
-    main()
+    BENCH.main()

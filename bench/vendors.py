@@ -25,11 +25,9 @@ import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _report import ROOT, Report, markdown_table, swept
+from _report import ROOT, Report, markdown_table
+from _rows import oracle_percent
 from run import Bench
-
-from r2h_batch.report.table import record, table_of
-from r2h_batch.runs.store import load_run
 
 MEASURES = (
     "bench/vendors.py",
@@ -129,25 +127,7 @@ def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[st
         "missed": report.get("ik_missed", 0),
         "reach_mm": 1e3 * report["reach_m"],
     }
-    try:
-        run = swept(
-            out / f"{name}_run",
-            "--robot",
-            out / name,
-            "--benchmark",
-            "r2h-v1",
-            "--method",
-            "oracle",
-            "--trials",
-            trials,
-            "--execute.sim",
-            "none",
-            "--quiet",
-        )
-    except SystemExit:  # what it refuses it has said
-        return found | {"oracle_percent": 0.0}
-    (row,) = (record(row) for row in table_of(load_run(run)).rows if row.split == "Avg")
-    return found | {"oracle_percent": row["sr"]}
+    return found | {"oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
 
 
 def table(found: dict[str, dict[str, Any]]) -> str:

@@ -23,8 +23,8 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from _report import Parts, Report, markdown_table, swept
+from _rows import over_categories, paired_over_categories, poses_of, rows_of
 from _source import digests
-from learn import over_categories, paired_over_categories
 from run import Bench
 
 MEASURES = (
@@ -261,23 +261,6 @@ def _cost(run: Any) -> dict[str, float]:
         if "moment" not in found:
             found["moment"] = timed(partial(moments, evaluator.scene, trials))
     return found
-
-
-def rows_of(run: Any, name: str) -> dict[int, dict[str, Any]]:
-    """Trial id -> its columns of all files."""
-    rows: dict[int, dict[str, Any]] = {}
-    for table in (run.trials(name), run.details(name), run.poses(name), run.paths(name)):
-        for row in table.to_pylist():
-            rows.setdefault(row["trial_id"], {}).update(row)
-    return rows
-
-
-def poses_of(rows: list[dict[str, Any]]) -> tuple[torch.Tensor, torch.Tensor]:
-    """T_obj_ee and T_world_ee of rows, (N, 4, 4)."""
-    grasp, pose = (
-        torch.tensor([r[k] for r in rows], dtype=torch.float32).reshape(-1, 4, 4) for k in ("T_obj_ee", "T_world_ee")
-    )
-    return grasp, pose
 
 
 def _until_safe(row: dict[str, Any]) -> dict[str, Any]:
