@@ -121,14 +121,13 @@ def test_what_cannot_be_rescored_exactly_is_refused_with_what_can(made, capsys, 
 
 @pytest.mark.slow
 def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
-    from r2h_batch import Evaluator
-    from r2h_batch import load_benchmark as real_trials
+    from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.config import Thresholds
     from r2h_batch.methods import random as method
     from r2h_batch.runs.rows import TrialNames
 
     n = 150
-    trials = real_trials(trials=n)
+    trials = load_benchmark("r2h-v1").trials(n)
     changes = {"reach_radius_m": (0.06, 0.1, 0.2), "w_max_m": (0.02, 0.05, 0.085), "safe_margin_m": (0.0, 0.01, 0.03)}
     evaluator = default_evaluator()
     predictions = method.predict(trials, evaluator.scene, seed=0)
