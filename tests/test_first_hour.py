@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import threading
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +20,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.tables import read_csv_arrays
 from r2h_batch.report.table import brief, table_of
+from r2h_batch.runs.store import join, load_run
 from r2h_batch.scene.mesh_import.closed import closed_mesh
 from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.mesh_import.limits import ObjectMeshError
@@ -190,3 +192,70 @@ def test_an_object_that_gets_no_trial_is_refused_before_anything_is_judged(tmp_p
     done = in_process(*line, "--out", tmp_path / "run")
     assert done.returncode == 2 and "box gets none of 2 trials of S0" in done.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_a_run_that_was_played_shows_its_own_table_before_that_of_its_plans(capsys):
+    assert main(["report", str(Path(__file__).parent / "frozen" / "closed_loop")]) == 0
+    said = capsys.readouterr().out
+    assert 0 <= said.index("Closed loop: servo") < said.index("Rates in percent")
+
+
+EDITED = """
+def poses(trials, scene):
+    from r2h_batch.methods import random
+    answer = random.predict(trials, scene, seed={seed})
+    return answer.T_obj_ee, answer.T_world_ee
+"""
+
+
+def test_an_edited_rule_is_told_by_its_file_and_judged_anew_where_that_is_asked(tmp_path):
+    file, out = tmp_path / "edited_rule.py", tmp_path / "run"
+    line = ["--method", file_of(file, 0), "random", "--trials", 2, "--out", out]
+    assert in_process(*line).returncode == 0
+    before, other = (load_run(out).poses(m).to_pydict() for m in ("edited_rule.py:poses", "random"))
+    file_of(file, 1)
+    done = in_process(*line)
+    assert done.returncode == 2 and "edited_rule changed since; add --overwrite" in done.stderr
+    assert load_run(out).poses("edited_rule.py:poses").to_pydict() == before, "nothing is lost"
+    done = in_process(*line, "--overwrite")
+    assert done.returncode == 0 and "random: already in the run folder" in done.stderr
+    after = load_run(out)
+    assert after.poses("edited_rule.py:poses").to_pydict() != before and after.poses("random").to_pydict() == other
+    assert main(["results", "verify", str(out)]) == 0
+
+
+def file_of(file, seed):
+    """The rule with this seed, as a method that is imported anew."""
+    file.write_text(EDITED.format(seed=seed))
+    sys.modules.pop(file.stem, None)
+    return f"{file}:poses"
+
+
+@pytest.mark.parametrize("place", ["imported", "asked", "asked, with a child that leaves"])
+def test_a_method_that_leaves_the_process_is_told_and_the_command_goes_on(tmp_path, place):
+    name = f"leaving_{len(place)}"
+    child = "    if not os.fork(): os._exit(0)\n    os.wait()\n" if "child" in place else ""
+    leave = "import os\nos._exit(0)\n" if place == "imported" else "import os\n"
+    (tmp_path / f"{name}.py").write_text(f"{leave}def poses(trials, scene):\n{child}    os._exit(0)\n")
+    done = in_process("--method", f"{tmp_path / name}.py:poses", "--trials", 2, "--out", tmp_path / "run")
+    said = [line for line in done.stderr.splitlines() if "os._exit(0)" in line]
+    assert done.returncode == 2 and len(said) == 1 and f"{name}.py, line" in said[0]
+
+
+def test_the_gallery_of_a_run_of_two_folders_draws_each_method_in_its_own(tmp_path, monkeypatch):
+    """As the stored rows of the built-in methods are: two folders of one name."""
+    folders = [tmp_path / place / "rows" for place in ("first", "later")]
+    runs = [write_run(f, {m: np.zeros(4, int)}, 2, 2) for f, m in zip(folders, ("fc", "learned"), strict=True)]
+    drawn = []
+
+    def draw(run, reader, n, pages, base):
+        drawn.append((run.methods, reader, pages.name))
+        return {m: [] for m in run.methods}
+
+    monkeypatch.setattr("r2h_batch.commands.compare.load_runs", lambda *_: [join(runs)])
+    monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
+    monkeypatch.setattr("r2h_batch.view.gallery.pictures.gallery", draw)
+    monkeypatch.setattr("r2h_batch.view.stored.Reader", lambda folder, _: folder)
+    line = ["report", "any", "--format", "html", "--gallery", "1", "--out", str(tmp_path / "page.html")]
+    assert main(line) == 0 and (tmp_path / "page.html").exists()
+    assert drawn == [(("fc",), folders[0], "1"), (("learned",), folders[1], "2")]

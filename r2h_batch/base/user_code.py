@@ -23,6 +23,9 @@ HOW = "package.module:function or FILE.py:function"
 MOST_BYTES = 16 << 20
 """Largest program that is imported: Python reads a file as a whole."""
 
+NO_EXIT = "_no_exit"
+"""The function that stands in the place of `os._exit` while a method runs: it is nobody's fault that it raises."""
+
 _BROUGHT: dict[str, Collection[str]] = {}
 """Module -> the modules that its first import brought."""
 
@@ -106,7 +109,8 @@ def raised(error: BaseException) -> str:
     what = f"{type(error).__name__}: {printable(' '.join(text_of(error).split()))[:300]}"
     if isinstance(error, SyntaxError):  # its text says where
         return what
-    where = traceback.extract_tb(error.__traceback__)[-1]
+    frames = traceback.extract_tb(error.__traceback__)
+    where = next((f for f in reversed(frames) if f.name != NO_EXIT), frames[-1])
     return f"{what} ({printable(where.filename)}, line {where.lineno})"
 
 

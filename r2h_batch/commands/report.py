@@ -1,14 +1,18 @@
 """The command `report`: table, page, gallery. Light until there is work."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.report.statistics.few import FEW, check_few
+
+if TYPE_CHECKING:
+    from r2h_batch.runs.store import Run
 
 MOST = 20
 """Pictures of one method and outcome in a gallery."""
@@ -97,12 +101,21 @@ def report(
             if _pages(out).is_symlink():
                 what = f"{out.stem}_trials beside {out.name} is a link"
                 raise UsageError(f"{what}; its pages would be written elsewhere")
-            pictures = {}
-            names = iter(stored.methods)  # a joined run may name a method otherwise
-            for number, run in enumerate(loaded, 1):
-                pages = _pages(out) / str(number) if len(loaded) > 1 else _pages(out)
-                found = draw(run, Reader(run.folder, benchmark), gallery, pages, out.parent)
-                pictures |= {next(names): found[name] for name in run.methods}
+            # a run may be of several folders, and a joined one may name a method otherwise: all are opened before one is drawn
+            folders = [own for run in loaded for own in run.runs]
+            readers = [Reader(own.folder, benchmark) for own in folders]
+            pictures = {name: [] for name in stored.methods}
+            for number, (own, reader) in enumerate(zip(folders, readers, strict=True), 1):
+                pages = _pages(out) / str(number) if len(folders) > 1 else _pages(out)
+                named = {
+                    next(e.name for e in own.entries if e.slug == stored.entry(name).slug): name
+                    for name in stored.methods
+                    if stored.entry(name).folder == own.folder
+                }
+                if not named:  # --method names none of its methods
+                    continue
+                found = draw(own.only(list(named)), reader, gallery, pages, out.parent)
+                pictures |= {named[name]: drawn for name, drawn in found.items()}
         try:
             common = common_trials(loaded, proven=stored_rows())
         except ValueError as error:
@@ -125,6 +138,12 @@ def report(
             stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=of_scans, few=categories
         )
         text = render(table, format, columns=columns, intervals=intervals)
+        if format == "md" and (
+            played := _played(loaded)
+        ):  # else the hand at rest looks like the result
+            text = (
+                f"{played}\nThe plans of the same trials, judged with the hand at rest:\n\n{text}"
+            )
         if format == "md" and out is None:
             text += "\n" + next_commands(loaded)
     if out is None:
@@ -136,6 +155,16 @@ def report(
         missing = sum(s.last - s.first for s in stored.missing(name))
         LOG.info(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
     return 1 if stored.unfinished else 0
+
+
+def _played(runs: "Sequence[Run]") -> str:
+    """The tables of the runs that were played in closed loop; empty where none was."""
+    played = [own for run in runs for own in run.runs if "episodes" in own.header["stored"]]
+    if not played:
+        return ""
+    from r2h_batch.report.closed_loop import render
+
+    return "\n".join(render(own) for own in played if own.methods)
 
 
 def _pages(out: Path) -> Path:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -45,6 +46,7 @@ from r2h_batch.runs.shard import (
     stored_files,
     write_shard,
 )
+from r2h_batch.runs.side import side_files
 from r2h_batch.runs.store import IMPORTED
 from r2h_batch.runs.verify import not_as_planned
 
@@ -86,8 +88,20 @@ class RunFolder:
         self.folder, self.header, self.command = folder, header, _printable_words(command)
         self.entries = {e.name: e for e in read_methods(folder, header)}
 
-    def register(self, method: str, source: Mapping[str, Any]) -> None:
-        """Add a method; `RunError` if the folder has one of this name from another source."""
+    def register(self, method: str, source: Mapping[str, Any], *, overwrite: bool = False) -> bool:
+        """Add a method.
+
+        Args:
+            method: its name.
+            source: where its answers come from.
+            overwrite: whether rows of one of this name from another source make way for the new ones.
+
+        Returns:
+            Whether there were such rows, and they are gone.
+
+        Raises:
+            RunError: the folder has one of this name from another source, which stays.
+        """
         readable = re.sub(r"[^A-Za-z0-9._-]+", "_", method).strip("._")[:60] or "method"
         taken = {e.slug.lower(): e for e in read_methods(self.folder, self.header)}
         for slug in (readable, f"{readable}-{hashlib.sha256(method.encode()).hexdigest()[:8]}"):
@@ -102,10 +116,28 @@ class RunFolder:
             if entry.name == method:
                 old = entry.source
                 if other := [k for k in {**old, **source} if old.get(k) != source.get(k)]:
-                    words = f"already holds {method!r}, made with another {', '.join(other)}"
-                    raise RunError(f"{self.folder}: {words}; {OTHER_OUT}")
+                    if overwrite:
+                        self._drop(entry)
+                        self.register(method, source)
+                        return True
+                    words = f"already holds {method!r}, {_changed(other, source)}"
+                    how = f"add --overwrite to judge it anew in their place, or {OTHER_OUT}"
+                    raise RunError(f"{self.folder}: {words}; {how}")
                 self.entries[method] = entry
-                return
+                return False
+        raise AssertionError("one of two names of a file is free or the method's own")
+
+    def _drop(self, entry: Entry) -> None:
+        """Removes all that the folder has of a method, its file last: a kill on the way leaves a method that can be dropped."""
+        for path in entry.claims().values():
+            with claim(path) as own:
+                if own is None:
+                    who = owner_of(path) or "another process"
+                    raise RunError(f"{self.folder}: {who} scores {entry.name!r} now; wait for it")
+        for path in (*side_files(entry), *entry.claims().values()):
+            path.unlink(missing_ok=True)
+        shutil.rmtree(shard_folder(self.folder, entry.slug), ignore_errors=True)
+        (self.folder / "methods" / f"{entry.slug}.json").unlink(missing_ok=True)
 
     def stored(self, method: str) -> set[int]:
         """Numbers of the shards that are complete now."""
@@ -177,6 +209,18 @@ class RunFolder:
         won = write_shard(place, self.header, method, shard, tables, seconds)
         drop_set_aside(place, shard.index)
         return won
+
+
+def _changed(keys: Sequence[str], source: Mapping[str, Any]) -> str:
+    """What differs between a method's source and that of its rows, in words: files by their names."""
+    files = [k.removeprefix("file ") for k in keys if k.startswith("file ")]
+    if not files and "sha256" in keys and "file" in source:
+        files = [str(source["file"])]
+    others = [k for k in keys if k != "sha256" and not k.startswith("file ")]
+    if not files:
+        return f"made with another {', '.join(others or keys)}"
+    more = f", and so did {', '.join(others)}" if others else ""
+    return f"and {printable(', '.join(files))} changed since{more}"
 
 
 def _printable_words(command: Any) -> Any:

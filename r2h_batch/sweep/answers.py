@@ -5,13 +5,14 @@ trials get no pose and count as its failures (`invalid_input`).
 """
 
 import io
+import os
 import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import torch
 from torch import Tensor
@@ -102,15 +103,27 @@ def _checked(
     return value.detach().clone()
 
 
+def _no_exit(status: int) -> NoReturn:
+    """In the place of `os._exit` while a method runs: nothing behind it would be told, and no table printed."""
+    if os.getpid() != _PROCESS:  # a child that the method forked: it may leave
+        _leave(status)
+    raise SystemExit(f"os._exit({status}) ends the process; return an answer")
+
+
+_PROCESS, _leave = os.getpid(), os._exit
+
+
 @contextmanager
 def own_streams(name: str) -> Iterator[None]:
     """Sends a method's prints to stderr: stdout is the table's. A stream that it closed or replaced
-    is put back."""
-    printed = io.StringIO()
+    is put back, and it cannot end the process without a word by `os._exit`."""
+    printed, before = io.StringIO(), os._exit
+    os._exit = _no_exit  # type: ignore[assignment]
     try:
         with redirect_stderr(sys.stderr), redirect_stdout(printed):
             yield
     finally:
+        os._exit = before
         if not printed.closed and printed.getvalue():
             LOG.info(f"{name} printed: {printed.getvalue().rstrip()}")
 

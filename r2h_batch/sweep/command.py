@@ -137,7 +137,8 @@ def _run(
         if setting.labels:
             write_labels(folder.folder, setting.labels)
         for job in jobs:
-            folder.register(job.name, job.source)
+            if folder.register(job.name, job.source, overwrite=sweep.overwrite):
+                LOG.info(f"{job.name}: it changed, so its rows of before are gone")
             LOG.debug(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
         for line in (line for job in jobs for line in job.lines):
             LOG.info(line)

@@ -280,6 +280,10 @@ class Flags:
             "output",
         ),
     ] = False
+    overwrite: Annotated[
+        bool,
+        Flag("judge a method of --out anew whose files changed, in place of its rows", "output"),
+    ] = False
     verbose: Annotated[
         bool, Flag("print every step and shard on stderr; log.txt always has them", "output")
     ] = False

@@ -79,7 +79,7 @@ def test_a_resume_after_a_change_of_any_of_them_is_refused_by_the_name_of_the_fi
     capsys.readouterr()
     assert run() == 2
     name = changed.removesuffix(".py").replace("/", ".") if changed.endswith(".py") else changed
-    said = f"already holds 'id_method:predict (table=table.csv)', made with another sha256, file {name}; choose"
+    said = f"already holds 'id_method:predict (table=table.csv)', and {name} changed since; add --overwrite"
     assert said in capsys.readouterr().err
     (place / changed).write_text(FILES[changed])
     assert run() == 0

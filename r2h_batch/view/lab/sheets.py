@@ -151,6 +151,9 @@ def write_sheet(drawn: Drawn, title: str, path: Path) -> str:
     every = [points for points, _, _ in drawn.shapes]
     if drawn.ball is not None:  # its rim may lie beyond the paper
         every.append(np.array([drawn.ball[:2]]))
+    if drawn.pads is not None:
+        middle, half = map(np.array, drawn.pads)
+        every.append(np.array([middle - half, middle + half]))
     corners = np.concatenate(every)
     low, high = corners.min(0), corners.max(0)
     paper, (width, height) = _paper(1000 * (high - low), title)
@@ -221,8 +224,13 @@ def _paper(size_mm: Array, title: str) -> tuple[str, tuple[float, float]]:
 
 
 def _marks(axes: "Axes", drawn: Drawn) -> None:
-    from matplotlib.patches import Circle
+    from matplotlib.patches import Circle, Rectangle
 
+    if drawn.pads is not None:
+        (x, y), (across, up) = drawn.pads
+        corner = (x - across, y - up)
+        pad = Rectangle(corner, 2 * across, 2 * up, fill=False, ec="#d55e00", lw=1.5)
+        axes.add_patch(pad)
     if drawn.ball is not None:
         *c, r = drawn.ball
         axes.add_patch(Circle((c[0], c[1]), r, fill=False, ec="#009e73", ls="--", lw=1.0))

@@ -15,7 +15,7 @@ from r2h_batch.commands.real import ids_of
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.view.lab.frames import pendant
 from r2h_batch.view.lab.paths import path_of, postures, ros2_of, tcp_of, urscript_of
-from r2h_batch.view.lab.sheets import RULER_M, grasp_sheet, hand_sheet, write_sheet
+from r2h_batch.view.lab.sheets import RULER_M, Drawn, _marks, grasp_sheet, hand_sheet, write_sheet
 from r2h_batch.view.stored import Reader
 
 D = (0.1625, 0.0, 0.0, 0.1333, 0.0997, 0.0996)
@@ -185,3 +185,17 @@ def test_a_wrong_word_gets_one_line(run, tmp_path, capsys, flags, words):
     assert main(["export", "real", str(run), "--out", str(tmp_path / "x"), *flags]) == 2
     error = capsys.readouterr().err
     assert words in error and "Traceback" not in error
+
+
+def test_the_rectangle_of_the_pads_is_drawn_on_the_sheet_of_the_grasp_alone():
+    from matplotlib.figure import Figure
+    from matplotlib.patches import Rectangle
+
+    triangle = (np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1]]), np.array([[0, 1, 2]]), "#000000")
+    pads = ((0.01, 0.02), (0.011, 0.019))
+    for given in each([None, pads]):
+        axes = Figure().add_subplot()
+        _marks(axes, Drawn((triangle,), (), "x", "z", pads=given))
+        found = [p.get_bbox().bounds for p in axes.patches if isinstance(p, Rectangle)]
+        assert len(found) == (given is not None)
+    assert found[0] == pytest.approx((-0.001, 0.001, 0.022, 0.038))
