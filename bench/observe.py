@@ -215,7 +215,7 @@ def off_border(theirs: np.ndarray, ours: np.ndarray) -> int:
     return int((~np.any(about, axis=0)).sum())
 
 
-def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
+def measure(options: argparse.Namespace, __: Report) -> dict[str, Any]:
     import torch
 
     from r2h_batch import Evaluator, load_benchmark

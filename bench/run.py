@@ -65,7 +65,7 @@ class Bench:
 def typed(how: Mapping[str, Any]) -> dict[str, Any]:
     """What argparse takes of a flag, with the type of its default."""
     default = how.get("default")
-    guessed = {} if {"type", "action"} & how.keys() or default is None else {"type": type(default)}
+    guessed: dict[str, Any] = {} if {"type", "action"} & how.keys() or default is None else {"type": type(default)}
     if isinstance(default, list | tuple):
         guessed = {"nargs": "+", "type": type(default[0])} if default else {}
     return guessed | dict(how)

@@ -3,8 +3,7 @@
 `python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps
 the rows in bench/options/SET and the figures in bench/results/SET.json. It fetches nothing.
 NAME.yaml beside NAME.obj says what a mesh does not (docs/your_data.md); where there is none, the file of --about says a mesh's
-region, and whose it is. Meshes without a region are of S0. Then
-`python bench/figures.py --write` writes the page.
+region, and whose it is. Meshes without a region are of S0. Then `python bench/figures.py --write` writes the page.
 """
 
 import argparse
