@@ -28,7 +28,6 @@ from r2h_batch.methods import random
 MEASURES = (
     *("bench/gradients.py", "examples/refine_poses.py", "kernels", "r2h_batch/judge", "r2h_batch/scene"),
     *(
-        "r2h_batch/training",
         "r2h_batch/base/launch",
         "r2h_batch/evaluate.py",
         "r2h_batch/launching.py",

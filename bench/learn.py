@@ -34,7 +34,7 @@ STORED = ROOT / "bench" / "results" / "learn.json"
 MEASURES = (
     *("bench/learn.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
-        "r2h_batch/learning",
+        "r2h_batch/training",
         "r2h_batch/trials",
         "r2h_batch/protocols",
         "r2h_batch/evaluate.py",
@@ -103,7 +103,7 @@ SPREAD = ("S0", "S1", "S0+S1")
 def trained(place: Path, seed: int, leave_out: Sequence[str], **other: Any) -> tuple[Path, dict[str, float]]:
     """Weights, and CPU seconds of the parts of their training; `other` than the default recipe."""
     from r2h_batch import load_benchmark
-    from r2h_batch.learning.rank import CHECKPOINT, Recipe, train_ranker
+    from r2h_batch.training.rank import CHECKPOINT, Recipe, train_ranker
 
     default = Recipe()
     changed = [f"{k}{v}" for k, v in other.items() if v != getattr(default, k)]
@@ -251,9 +251,9 @@ def step_profile(place: Path) -> dict[str, float]:
     from torch.profiler import profile
 
     from r2h_batch import load_benchmark
-    from r2h_batch.learning.pairs import stream
-    from r2h_batch.learning.rank import PAIRS, POSES, Lessons, Recipe, Training
     from r2h_batch.methods.ranker import features
+    from r2h_batch.training.pairs import stream
+    from r2h_batch.training.rank import PAIRS, POSES, Lessons, Recipe, Training
 
     pairs = stream(load_benchmark("r2h-v2"), "cup,hammer x 2 seed 5", pairs=PAIRS, poses=POSES, see=features.SEE)
     training = Training(Recipe(), pairs, place / "none", print, lambda numbers, step: None)
@@ -474,9 +474,9 @@ class Study:
         and with candidates drawn for the region, as an object of the user's has them."""
         from dataclasses import replace
 
-        from r2h_batch.learning.instances import training_objects
-        from r2h_batch.learning.regions import with_regions
         from r2h_batch.methods.learned import weights_file
+        from r2h_batch.training.instances import training_objects
+        from r2h_batch.training.regions import with_regions
 
         plain = training_objects(self.benchmark, REGIONS)
         ways: dict[str, Any] = {}
@@ -489,8 +489,8 @@ class Study:
 
     def regions_of(self, plain: "tuple[ObjectModel, ...]", count: int, path: Path) -> dict[str, Any]:
         """Success of the pose stage, percent, on instances with four regions at random each: all, and by kind of region."""
-        from r2h_batch.learning.regions import with_regions
         from r2h_batch.methods import learned
+        from r2h_batch.training.regions import with_regions
 
         own = self.benchmark.with_objects(with_regions(plain, 4)[len(plain) :])
         judge = Evaluator(own, threads=1)
@@ -505,8 +505,8 @@ class Study:
 
     def recipes(self) -> dict[str, Any]:
         """Each recipe without some categories, on new instances of these: what a recipe was chosen by."""
-        from r2h_batch.learning.instances import training_objects
         from r2h_batch.methods import learned
+        from r2h_batch.training.instances import training_objects
 
         found: dict[str, Any] = {name: {} for name in RECIPES}
         for fold in CHOSEN_BY:
@@ -581,10 +581,10 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
-    from r2h_batch.learning.rank import Recipe
     from r2h_batch.methods.learned import FIRST, TOP
     from r2h_batch.protocols.family_objects import planned_objects
     from r2h_batch.scene.objects import S0_NAMES
+    from r2h_batch.training.rank import Recipe
 
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]

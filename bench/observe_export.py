@@ -16,7 +16,7 @@ from run import Bench
 FAMILIES, PAIRS, FIRST = "* x 5 seed 5", 16, 8
 """As `export views` takes them; trials of the shard that is not measured."""
 MEASURES = (
-    *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/learning", "r2h_batch/methods/oracle.py"),
+    *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/training", "r2h_batch/methods/oracle.py"),
     *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py", "r2h_batch/judge"),
 )  # fmt: skip
 
@@ -43,9 +43,9 @@ def measure(options: argparse.Namespace, report: Report) -> None:
     import torch
 
     from r2h_batch import load_benchmark
-    from r2h_batch.learning.pairs import stream
-    from r2h_batch.learning.views import write_views
     from r2h_batch.observe.sees import Sees
+    from r2h_batch.training.pairs import stream
+    from r2h_batch.training.views import write_views
 
     torch.set_num_threads(1)
     sees = Sees.parse("cell-v1")

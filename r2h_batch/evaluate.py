@@ -25,6 +25,9 @@ from r2h_batch.base.registry import PRESET_NAMES
 from r2h_batch.base.table import of_lines
 from r2h_batch.base.validate import instance_of, one_of, optional, suggest_names
 from r2h_batch.config import EvalConfig, ExecutionError, ObjectErrors
+from r2h_batch.judge.calls import torch_op
+from r2h_batch.judge.calls.capture import Captured, check_capture
+from r2h_batch.judge.calls.gradients import asks_gradients, differentiable
 from r2h_batch.judge.compile import compile_stages
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.ik import build_tables
@@ -45,9 +48,6 @@ from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.scene.scene import Scene
 from r2h_batch.stages import BELIEVED, BELIEVED_PICKS, LAST, PICKS, PLANNED, POSE, TRACE
-from r2h_batch.training import torch_op
-from r2h_batch.training.capture import Captured, check_capture
-from r2h_batch.training.gradients import asks_gradients, differentiable
 from r2h_batch.types import ScoreInputs, Scores, Trials
 from r2h_batch.work import Work
 

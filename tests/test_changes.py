@@ -13,7 +13,7 @@ MOST_FILES = 2
 OF_A_CRITERION = (
     "tests/judge/test_metrics.py::test_touching_passes_where_the_paper_says_so",
     "tests/judge/test_judge_again.py::test_a_row_of_each_split_is_right_in_all_that_it_says",
-    "tests/learning/test_stream.py::test_labels_and_margins_are_what_score_says_of_these_poses_and_trials",
+    "tests/training/test_stream.py::test_labels_and_margins_are_what_score_says_of_these_poses_and_trials",
     "tests/view/export/test_export_release.py",
 )
 OF_A_COLUMN = (

@@ -19,8 +19,8 @@ from rounds import each
 from torch._subclasses.fake_tensor import FakeTensorMode
 
 from r2h_batch import Evaluator, load_benchmark
+from r2h_batch.judge.calls.torch_op import score_op
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.training.torch_op import score_op
 
 ROWS = 64
 WAIT_S = 300

@@ -20,7 +20,6 @@ from r2h_batch.base.soft import soft_success
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.data.people import built_in_people
-from r2h_batch.learning.rank import Recipe
 from r2h_batch.methods.ranker.observe import Seen
 from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.report.statistics import aggregate, paired
@@ -32,6 +31,7 @@ from r2h_batch.sweep.options import parse
 from r2h_batch.sweep.request import requested
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
+from r2h_batch.training.rank import Recipe
 from r2h_batch.trials.noise import PredictorNoise
 from r2h_batch.trials.predictions import load_predictions, write_predictions
 

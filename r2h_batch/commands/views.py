@@ -44,10 +44,10 @@ def views(
         ("--pairs", pairs, 1, 1000),
     ):
         check_range(flag, value, low, high)
-    from r2h_batch.learning.pairs import stream
-    from r2h_batch.learning.views import write_views
     from r2h_batch.observe.sees import Sees
     from r2h_batch.protocols.load import load_benchmark
+    from r2h_batch.training.pairs import stream
+    from r2h_batch.training.views import write_views
 
     shown = Sees.parse(sees)
     found = load_benchmark(benchmark) if benchmark else load_benchmark()

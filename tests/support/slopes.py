@@ -5,7 +5,7 @@ from problems import Batch, make_batch
 
 from r2h_batch.base import se3, twist
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.training.gradients import STEEPEST, STEP_M, STEP_RAD
+from r2h_batch.judge.calls.gradients import STEEPEST, STEP_M, STEP_RAD
 from r2h_batch.types import Scores
 
 STEPS = torch.tensor(([STEP_M] * 3 + [STEP_RAD] * 3) * 2)

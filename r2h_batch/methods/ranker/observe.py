@@ -70,7 +70,7 @@ def observe(
         region: whether the receiver's region is seen; else nothing is of it, and the middle is the object's.
 
     Returns:
-        The tensors that `learning.pairs.Pairs` names, from `cloud` to `exists`; and the middle (N, 3).
+        The tensors that `training.pairs.Pairs` names, from `cloud` to `exists`; and the middle (N, 3).
     """
     o = trials.object_index.long()
     hand = predict_target(trials, scene, seed=seed, noise=see.noise, seen=seen)

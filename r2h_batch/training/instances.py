@@ -7,7 +7,6 @@ from fnmatch import fnmatchcase
 from typing import TypeVar
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.learning.drawing import Drawing
 from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.protocols.family_objects import Planned, family_objects, planned_objects
 from r2h_batch.scene.objects import (
@@ -17,6 +16,7 @@ from r2h_batch.scene.objects import (
     checked_objects,
     load_objects,
 )
+from r2h_batch.training.drawing import Drawing
 
 Instances = tuple[ObjectModel, ...]
 

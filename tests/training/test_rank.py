@@ -14,14 +14,14 @@ from safetensors.torch import save
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
-from r2h_batch.learning.pairs import Pairs
-from r2h_batch.learning.rank import CHECKPOINT, SHIPPED, WEIGHTS, Recipe, Training, begun, train_ranker
 from r2h_batch.methods.learned import trained_on
 from r2h_batch.methods.ranker import features
 from r2h_batch.methods.ranker.network import MAX_BYTES, Ranker, about_weights, read_weights, save_weights
 from r2h_batch.methods.ranker.observe import observe
 from r2h_batch.methods.ranker.search import NEAR_M, liked, scored_by
 from r2h_batch.training import mine, stream
+from r2h_batch.training.pairs import Pairs
+from r2h_batch.training.rank import CHECKPOINT, SHIPPED, WEIGHTS, Recipe, Training, begun, train_ranker
 from r2h_batch.verdicts import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
@@ -144,7 +144,7 @@ def test_a_training_begins_with_given_weights_and_names_what_they_were_trained_o
 
 
 def test_a_folder_that_cannot_be_made_is_refused_before_the_work(monkeypatch, capsys):
-    monkeypatch.setattr("r2h_batch.learning.rank.train_ranker", lambda *_, **__: pytest.fail("it began"))
+    monkeypatch.setattr("r2h_batch.training.rank.train_ranker", lambda *_, **__: pytest.fail("it began"))
     assert main(["train", "rank", "--out", "/proc/none/rank"]) == 1  # nobody can make a folder there
     assert "/proc/none" in capsys.readouterr().err.strip().splitlines()[-1]
 

@@ -15,11 +15,11 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.write import atomic_path, write_text
 from r2h_batch.base.package import VERSION
-from r2h_batch.learning.pairs import Pairs
 from r2h_batch.methods import oracle
 from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.sees import Sees
 from r2h_batch.observe.shards import CLOUD, DEPTH_STEP_M, FORMAT, seen_arrays, write_shard
+from r2h_batch.training.pairs import Pairs
 from r2h_batch.verdicts import CRITERIA
 
 ORACLE_ROUNDS = 16

@@ -7,8 +7,8 @@ from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
-from r2h_batch.learning.pairs import stream
 from r2h_batch.observe.sees import Sees
+from r2h_batch.training.pairs import stream
 
 h5py = pytest.importorskip("h5py")
 FAMILIES = "cup x 1 seed 91"

@@ -10,9 +10,9 @@ from weakref import WeakValueDictionary
 import torch
 from torch import Tensor
 
+from r2h_batch.judge.calls.gradients import by_differences
 from r2h_batch.judge.inputs import Stages
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.training.gradients import by_differences
 from r2h_batch.types import CRITERIA, GivenScores, PickedScores, Scores, Trials
 from r2h_batch.verdicts import ASKED_NAMES
 

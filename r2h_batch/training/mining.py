@@ -7,8 +7,8 @@ from torch import Tensor
 
 from r2h_batch.base import rng
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional
-from r2h_batch.learning.pairs import Pairs
 from r2h_batch.methods.ranker.search import Score, liked
+from r2h_batch.training.pairs import Pairs
 from r2h_batch.types import Trials
 
 

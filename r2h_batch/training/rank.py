@@ -20,14 +20,14 @@ from r2h_batch.base.io.read import open_file
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.base.validate import validate_fields
-from r2h_batch.learning.mining import mine
-from r2h_batch.learning.pairs import Pairs, stream
 from r2h_batch.methods.learned import trained_on as trained_on_of
 from r2h_batch.methods.learned import weights_file
 from r2h_batch.methods.ranker import features
 from r2h_batch.methods.ranker.network import UNNAMED, Ranker, read_weights, save_weights
 from r2h_batch.methods.ranker.search import scored_by
 from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.training.mining import mine
+from r2h_batch.training.pairs import Pairs, stream
 from r2h_batch.verdicts import CRITERIA
 
 WEIGHTS, CHECKPOINT, LESSONS = "rank.safetensors", "checkpoint.pt", "lessons-{}.pt"

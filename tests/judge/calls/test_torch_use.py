@@ -10,9 +10,9 @@ from r2h_batch import load_benchmark, reward
 from r2h_batch.base.registry import DEFAULT_PROTOCOL
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.judge.calls import torch_op
+from r2h_batch.judge.calls.capture import check_capture
 from r2h_batch.methods import oracle, random
-from r2h_batch.training import torch_op
-from r2h_batch.training.capture import check_capture
 from r2h_batch.types import Outcome, Scores, Trials
 
 B = 24

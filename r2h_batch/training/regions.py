@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.base import rng
-from r2h_batch.learning.instances import Instances
 from r2h_batch.scene.objects import ObjectModel, Turn
+from r2h_batch.training.instances import Instances
 
 MOST_REGIONS = 16
 LEAST, MOST = 0.05, 0.95

@@ -12,15 +12,15 @@ from scipy.optimize import linprog
 from torch.utils.data import DataLoader
 
 from r2h_batch import Evaluator, load_benchmark, reward
-from r2h_batch.learning.instances import split, training_objects
-from r2h_batch.learning.pairs import FIRST_ID, IDS_OF_SEED, Pairs
-from r2h_batch.learning.regions import with_regions
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.handover_va import predict_parts, predict_target
 from r2h_batch.methods.placing import center_of
 from r2h_batch.methods.ranker.proposals import TILT_DEG
 from r2h_batch.scene.objects import load_objects, turned
 from r2h_batch.training import Seen, stream
+from r2h_batch.training.instances import split, training_objects
+from r2h_batch.training.pairs import FIRST_ID, IDS_OF_SEED, Pairs
+from r2h_batch.training.regions import with_regions
 from r2h_batch.types import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
@@ -292,6 +292,6 @@ def test_a_region_is_a_part_or_all_but_a_part_or_one_side_of_a_plane_a_third_eac
 
 def test_an_object_that_nothing_divides_is_there_once(monkeypatch):
     plain = training_objects(load_benchmark(), FAMILIES)[:1]
-    monkeypatch.setattr("r2h_batch.learning.regions.LEAST", 0.6)
-    monkeypatch.setattr("r2h_batch.learning.regions.MOST", 0.4)
+    monkeypatch.setattr("r2h_batch.training.regions.LEAST", 0.6)
+    monkeypatch.setattr("r2h_batch.training.regions.MOST", 0.4)
     assert with_regions(plain, 3) == plain

@@ -18,13 +18,13 @@ from rounds import each
 from torch.utils.data import DataLoader
 
 from r2h_batch import load_benchmark
-from r2h_batch.learning.drawing import Drawing
-from r2h_batch.learning.rank import CHECKPOINT, Recipe, Training, train_ranker
 from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
 from r2h_batch.scene.families.kept import was_drawn
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.training import stream
+from r2h_batch.training.drawing import Drawing
+from r2h_batch.training.rank import CHECKPOINT, Recipe, Training, train_ranker
 
 FAMILIES = "knife,bottle x 3 seed 9"
 SIZES = {"pairs": 4, "trials": 8, "items": 7, "renew": 2}
@@ -217,7 +217,7 @@ def test_weights_do_not_depend_on_who_draws_or_on_an_interruption(cold, tmp_path
     )
     stages = [(s.name, [*s.items], s.begin, s.end) for s in recipe.stages]
     assert stages == [("0-0", [0, 1], 0, 4), ("0-1", [2], 4, 7), ("1", [3], 7, 9)]
-    monkeypatch.setattr("r2h_batch.learning.rank.TRIALS", 16)
+    monkeypatch.setattr("r2h_batch.training.rank.TRIALS", 16)
     found = []
     for workers in each([0, 2]):
         monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))

@@ -1,1 +1,0 @@
-"""Labelled pairs of new instances, from which methods learn."""
