@@ -1,6 +1,8 @@
 """What newcomers met in their first hour: no silent mistake, and no command that dies of the environment."""
 
+import dataclasses
 import os
+import re
 import subprocess
 import sys
 import threading
@@ -19,11 +21,14 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.tables import read_csv_arrays
+from r2h_batch.methods.candidates import CandidateTable
+from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.report.table import brief, table_of
 from r2h_batch.runs.store import join, load_run
 from r2h_batch.scene.mesh_import.closed import closed_mesh
 from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.mesh_import.limits import ObjectMeshError
+from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.command import stop_signals
 from r2h_batch.types import Outcome
 
@@ -240,6 +245,28 @@ def test_a_method_that_leaves_the_process_is_told_and_the_command_goes_on(tmp_pa
     done = in_process("--method", f"{tmp_path / name}.py:poses", "--trials", 2, "--out", tmp_path / "run")
     said = [line for line in done.stderr.splitlines() if "os._exit(0)" in line]
     assert done.returncode == 2 and len(said) == 1 and f"{name}.py, line" in said[0]
+
+
+def test_what_a_method_is_given_prints_one_line_each():
+    benchmark = load_benchmark("r2h-v0")
+    scene = Scene(benchmark)
+    things = [scene, *scene.objects, scene.hands, scene.hands.set, scene.hands.model, scene.robot, benchmark.trials(2)]
+    lines = [repr(thing) for thing in things]
+    assert all(len(line) < 300 and "\n" not in line for line in lines)
+    assert all(o.name in line for o, line in zip(scene.objects, lines[1:], strict=False))
+
+
+def test_the_names_of_the_methods_page_are_there():
+    page = (Path(__file__).parents[1] / "docs" / "howto" / "method.md").read_text()
+    rows = page.split("### What a function is given")[1].split("###")[0].split("## ")[0]
+    scene = Scene(benchmark := load_benchmark("r2h-v2"))
+    named = re.findall(r"`((?:trials|scene)\.[\w.\[\]]+)`", rows)
+    assert len(named) > 20
+    given = {"scene": scene, "trials": benchmark.trials(1), "i": 0}
+    for name in named:
+        assert eval(name, given) is not None, name
+    fields = {f.name for f in dataclasses.fields(CandidateTable)}
+    assert {"T_obj_ee", "opening_m", "width_m", "score", "count", "first"} <= fields
 
 
 def test_the_gallery_of_a_run_of_two_folders_draws_each_method_in_its_own(tmp_path, monkeypatch):

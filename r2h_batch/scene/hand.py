@@ -81,6 +81,10 @@ class HandModel:
     left: HandModel | None = None
     """a left hand of its own, mirrored to a right one; None: the right hand's mirror image"""
 
+    def __repr__(self) -> str:  # one line: a dataclass would print its tensors
+        own = "a left hand of its own" if self.left is not None else "left hands mirrored"
+        return f"HandModel({len(self.vertices):,} vertices, {len(self.faces):,} faces; {own})"
+
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, np.ndarray]) -> HandModel:
         """The model from arrays named as in ``hand.npz``; those of a left hand of its own start
@@ -315,6 +319,10 @@ class HandSet:
 
     def __len__(self) -> int:
         return len(self.posture)
+
+    def __repr__(self) -> str:  # one line: a dataclass would print its tensors
+        left = int(self.side.sum())
+        return f"HandSet({len(self)} hands: {len(self) - left} right, {left} left; digest {self.digest[:12]})"
 
     @cached_property
     def geometry(self) -> HandGeometry:

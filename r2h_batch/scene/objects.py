@@ -111,6 +111,12 @@ class ObjectModel:
     """how people ask for it, where a benchmark says so (`trials.holding.instructions`)"""
     repair: Repair | None = None
     """what was done to a user's mesh, and what came of it"""
+
+    def __repr__(self) -> str:  # one line: a dataclass would print its arrays
+        parts = ", ".join(self.part_names)
+        size = f"{len(self.vertices):,} vertices, {len(self.faces):,} faces"
+        return f"ObjectModel({self.name}, {self.split}: {size}, {1000 * self.mass:.0f} g, parts {parts})"
+
     receiver_boxes: NDArray[np.float64] | None = None
     """(N, 5, 3) the receiver's region as volumes, where a user gave boxes: centre, half sides, the
     rows of R_obj_box. Affordance asks them instead of ``receiver_face``, the faces in them"""

@@ -198,6 +198,9 @@ class Robot:
     def __hash__(self) -> int:
         return hash(self.digest)
 
+    def __repr__(self) -> str:  # one line: a dataclass would print its arrays
+        return f"Robot({self.name}: {len(self.joints)} joints, digest {self.digest[:12]})"
+
     def fitted(self, config: EvalConfig) -> EvalConfig:
         """The configuration with this robot's home and speed where it has the UR5e's.
 

@@ -44,6 +44,9 @@ class Hands:
     palm_point: Float32[Tensor, "h 3"]
     palm_normal: Float32[Tensor, "h 3"]
 
+    def __repr__(self) -> str:  # one line: a dataclass would print its tensors
+        return f"Hands({self.set!r} on {self.vertices.device})"
+
     @staticmethod
     @lru_cache(maxsize=2)
     def posed(hand_set: HandSet) -> "Hands":
