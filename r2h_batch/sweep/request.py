@@ -79,7 +79,7 @@ class Sweep(Options):
 
     def plan(self, benchmark: "Benchmark") -> dict[str, int]:
         """Split -> trials of it."""
-        splits = [s for s in SPLITS if s in self.splits]
+        splits: list[str] = [s for s in SPLITS if s in self.splits]
         if benchmark.listed is None:
             self._check_splits({o.split for o in benchmark.objects})
             plan = dict.fromkeys(splits, self.trials)
