@@ -37,7 +37,6 @@ MEASURES = (
     *("bench/families.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
         "r2h_batch/trials",
-        "r2h_batch/protocols",
         "r2h_batch/evaluate.py",
         "r2h_batch/launching.py",
         "r2h_batch/stages.py",

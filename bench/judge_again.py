@@ -41,10 +41,10 @@ from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods.predictors import PredictorNoise
-from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results.judge import Judge
+from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.noise import estimated_hand
 
 TOLERANCE_M = 1e-4

@@ -26,8 +26,8 @@ from run import Bench
 
 if TYPE_CHECKING:
     from r2h_batch import Evaluator, Trials
-    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.scene.objects import ObjectModel
+    from r2h_batch.trials.benchmark import Benchmark
     from r2h_batch.types import Predictions
 
 STORED = ROOT / "bench" / "results" / "learn.json"
@@ -36,7 +36,6 @@ MEASURES = (
     *(
         "r2h_batch/training",
         "r2h_batch/trials",
-        "r2h_batch/protocols",
         "r2h_batch/evaluate.py",
         "r2h_batch/launching.py",
         "r2h_batch/stages.py",
@@ -321,7 +320,7 @@ def instance_cost(place: Path) -> dict[str, float]:
     """CPU seconds of an instance with its grasp candidates: drawn anew, and read from disk."""
     from r2h_batch import load_benchmark
     from r2h_batch.methods.candidates import candidates_of
-    from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
+    from r2h_batch.trials.family_objects import drawn_instance, planned_objects
 
     robot = load_benchmark("r2h-v2").robot
     before = os.environ.get("R2H_BATCH_CACHE")
@@ -582,9 +581,9 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
     from r2h_batch.methods.learned import FIRST, TOP
-    from r2h_batch.protocols.family_objects import planned_objects
     from r2h_batch.scene.objects import S0_NAMES
     from r2h_batch.training.rank import Recipe
+    from r2h_batch.trials.family_objects import planned_objects
 
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]

@@ -33,7 +33,6 @@ MEASURES = (
     *("bench/networks.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
         "r2h_batch/trials",
-        "r2h_batch/protocols",
         "r2h_batch/evaluate.py",
         "r2h_batch/launching.py",
         "r2h_batch/stages.py",
@@ -46,8 +45,8 @@ def region_areas(contacts: Contacts, objects: str = "") -> dict[str, float]:
     """Object of S1 -> area under the curve of the receiver's region: of r2h-v2's, or of those that `--objects` names."""
     from r2h_batch import Evaluator
     from r2h_batch.assets.families.train_contacts import area
-    from r2h_batch.protocols.choice import BenchmarkChoice
-    from r2h_batch.protocols.edit import edited
+    from r2h_batch.trials.choice import BenchmarkChoice
+    from r2h_batch.trials.edit import edited
 
     benchmark = edited(BenchmarkChoice(benchmark="r2h-v2", objects=objects))
     scene = Evaluator(benchmark, threads=1).scene

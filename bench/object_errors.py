@@ -18,14 +18,13 @@ MEASURES = (
     "bench/object_errors.py",
     "kernels",
     "r2h_batch/judge",
-    "r2h_batch/protocols",
+    "r2h_batch/trials",
     "r2h_batch/scene",
     "r2h_batch/evaluate.py",
     "r2h_batch/launching.py",
     "r2h_batch/stages.py",
     "r2h_batch/work.py",
     "r2h_batch/methods",
-    "r2h_batch/trials",
 )
 GROSS = 0.1
 """Share of trials with a gross error [choice]."""

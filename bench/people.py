@@ -31,12 +31,12 @@ from r2h_batch.data.people import GROUPS, WHEELCHAIR, built_in_people, hand_leng
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import contact, fc, handover_va, intent, oracle, random
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.runs.store import Run, load_run
 from r2h_batch.scene.arrays import asset, read_arrays
 from r2h_batch.scene.hand import load_hand, load_hand_set
 from r2h_batch.scene.objects import load_objects
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 from r2h_batch.types import PERSON
 from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter
@@ -46,9 +46,9 @@ STORED, PICTURE = ROOT / "bench" / "results" / "people.json", ROOT / "docs" / "r
 MEASURES = (
     "assets/people",
     "r2h_batch/data/people.py",
-    "r2h_batch/protocols/draw/people.py",
-    "r2h_batch/protocols/draw/receivers.py",
-    "r2h_batch/protocols/draw/wheelchair.py",
+    "r2h_batch/trials/draw/people.py",
+    "r2h_batch/trials/draw/receivers.py",
+    "r2h_batch/trials/draw/wheelchair.py",
     "r2h_batch/trials/holding",
     "r2h_batch/judge/plan.py",
     "r2h_batch/judge/reception.py",

@@ -14,8 +14,8 @@ from r2h_batch import load_benchmark
 from r2h_batch.config import HOME_Q
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
-from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand_set, palm_frame
+from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter

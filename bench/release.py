@@ -32,9 +32,9 @@ from r2h_batch.base import se3
 from r2h_batch.data.release import PADS_M, T_world_release, along_z
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.trials.yaml_file import read_benchmark
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.release import TOOL_M
 

@@ -22,7 +22,7 @@ from networks import region_areas
 from run import Bench
 
 from r2h_batch.methods.predictors import Contacts
-from r2h_batch.protocols.edit import MESHES
+from r2h_batch.trials.edit import MESHES
 
 SETS = ("scanned", "scans")
 """The sets of the page, in its order: bench/SET.toml."""
@@ -30,7 +30,6 @@ MEASURES = (
     *("bench/scans.py", "kernels", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/methods"),
     *(
         "r2h_batch/trials",
-        "r2h_batch/protocols",
         "r2h_batch/evaluate.py",
         "r2h_batch/launching.py",
         "r2h_batch/stages.py",

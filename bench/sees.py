@@ -28,7 +28,7 @@ from run import Bench
 
 MEASURES = (
     "bench/sees.py", "examples/grasp_seen.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/sweep/seeing.py",
-    "r2h_batch/protocols/r2h_v2.py", "r2h_batch/methods",
+    "r2h_batch/trials/r2h_v2.py", "r2h_batch/methods",
 )  # fmt: skip
 ONE_POST = """name = "left-post"
 [[cameras]]

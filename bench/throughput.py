@@ -26,7 +26,7 @@ import r2h_batch.base.launch as launch
 from r2h_batch import load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
-from r2h_batch.protocols.benchmark import trials_digest
+from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.types import Outcome, PlanReason, Scores
 
 MEASURES = (

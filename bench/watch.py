@@ -291,7 +291,7 @@ def main() -> None:
             folder = Path(made)
             files = subprocess.run(["git", "-C", str(ROOT), "archive", options.base], capture_output=True, check=True)
             subprocess.run(["tar", "-x", "-C", made], input=files.stdout, check=True)
-        if not (folder / "r2h_batch" / "protocols").is_dir():
+        if not any((folder / "r2h_batch" / room / "load.py").exists() for room in ("trials", "protocols")):
             sys.exit(
                 f"watch: {options.base} has no load_benchmark; take a later commit, or run that commit's own bench/watch.py"
             )

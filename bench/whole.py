@@ -45,7 +45,7 @@ MEASURES = (
     "r2h_batch/methods/oracle.py",
     "r2h_batch/observe/known.py",
     "r2h_batch/observe/moment.py",
-    "r2h_batch/protocols/r2h_v3_draft.py",
+    "r2h_batch/trials/r2h_v3_draft.py",
     "r2h_batch/scene/resting.py",
 )
 SEES = "cell-v1,region=told"
@@ -234,7 +234,7 @@ def _cost(run: Any) -> dict[str, float]:
     from r2h_batch.config import EvalConfig, ExecConfig
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.observe import moments
-    from r2h_batch.protocols.registry import named_benchmark
+    from r2h_batch.trials.registry import named_benchmark
 
     rows: list[dict[str, Any]] = []
     for name in run.methods:
@@ -446,7 +446,7 @@ def certified_trials() -> tuple[Any, list[str]]:
     from dataclasses import replace
 
     from r2h_batch import load_benchmark
-    from r2h_batch.protocols.certified import load_certified
+    from r2h_batch.trials.certified import load_certified
 
     known = load_certified("r2h-v3-draft")
     first = replace(load_benchmark("r2h-v3-draft"), certified=None)

@@ -12,10 +12,10 @@ from r2h_batch.base.package import FOLDERS, VERSION, lazy_names
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.protocols.benchmark import Benchmark
-    from r2h_batch.protocols.load import load_benchmark
     from r2h_batch.scene.scene import Scene
     from r2h_batch.training import reward
+    from r2h_batch.trials.benchmark import Benchmark
+    from r2h_batch.trials.load import load_benchmark
     from r2h_batch.types import CRITERIA, Outcome, PlanReason, Predictions, Scores, Trials
     from r2h_batch.view.page import show
 
@@ -63,7 +63,7 @@ if not TYPE_CHECKING:  # else any name would pass
     __getattr__, __dir__ = lazy_names(
         __name__,
         {
-            "Benchmark": "protocols.benchmark",
+            "Benchmark": "trials.benchmark",
             "CRITERIA": "verdicts",
             "EvalConfig": "config",
             "Evaluator": "evaluate",
@@ -73,7 +73,7 @@ if not TYPE_CHECKING:  # else any name would pass
             "Scene": "scene.scene",
             "Scores": "types",
             "Trials": "types",
-            "load_benchmark": "protocols.load",
+            "load_benchmark": "trials.load",
             "reward": "training.reward",
             "show": "view.page",
         },

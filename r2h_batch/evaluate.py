@@ -44,10 +44,10 @@ from r2h_batch.judge.inputs import (
     warn_of_no_gradient,
     warn_of_payload,
 )
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.scene.scene import Scene
 from r2h_batch.stages import BELIEVED, BELIEVED_PICKS, LAST, PICKS, PLANNED, POSE, TRACE
+from r2h_batch.trials.benchmark import Benchmark
+from r2h_batch.trials.load import load_benchmark
 from r2h_batch.types import ScoreInputs, Scores, Trials
 from r2h_batch.work import Work
 

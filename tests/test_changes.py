@@ -419,7 +419,7 @@ def VASE(draw, part):
 '''
 USE_VASE = """
 import numpy as np
-from r2h_batch.protocols.family_objects import family_objects, family_splits
+from r2h_batch.trials.family_objects import family_objects, family_splits
 from r2h_batch.trials.holding.instructions import instructions_of, understand
 
 def swept(objects, out):

@@ -11,10 +11,10 @@ import trimesh
 from rounds import each
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.report.table import record, table_of
 from r2h_batch.runs.store import load_run
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 from r2h_batch.verdicts import Outcome
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -21,7 +21,6 @@ from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
 from r2h_batch.data.people import built_in_people
 from r2h_batch.methods.ranker.observe import Seen
-from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.report.statistics import aggregate, paired
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
@@ -32,6 +31,7 @@ from r2h_batch.sweep.request import requested
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.training.rank import Recipe
+from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.trials.noise import PredictorNoise
 from r2h_batch.trials.predictions import load_predictions, write_predictions
 

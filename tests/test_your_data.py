@@ -11,8 +11,8 @@ import yaml
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.methods.predictors import read_observations
-from r2h_batch.protocols.file_fields import BenchmarkFile, read_benchmark_file, read_object_file
-from r2h_batch.protocols.trials_file import read_trials_file
+from r2h_batch.trials.file_fields import BenchmarkFile, read_benchmark_file, read_object_file
+from r2h_batch.trials.trials_file import read_trials_file
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs/your_data.md").read_text()
 CODE = {kind: re.findall(rf"```{kind}\n(.*?)```", PAGE, re.S) for kind in ("yaml", "python")}

@@ -17,14 +17,14 @@ import torch
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
-from r2h_batch.protocols.certified import (
+from r2h_batch.trials.certified import (
     NEVER,
     Certified,
     joined_certified,
     read_certified,
     save_certified,
 )
-from r2h_batch.protocols.registry import named_benchmark
+from r2h_batch.trials.registry import named_benchmark
 
 NAME = "r2h-v3-draft"
 OUT = Path(__file__).parent / f"{NAME}.npz"

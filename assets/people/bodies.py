@@ -22,7 +22,7 @@ SEED = 41
 AT_ONCE = 50
 
 ABOVE_JOINT = 0.104
-"""Share of acromion to radiale by which the acromion lies above the shoulder's joint, as in `protocols/draw/receivers.py`."""
+"""Share of acromion to radiale by which the acromion lies above the shoulder's joint, as in `trials/draw/receivers.py`."""
 ILIAC, POPLITEAL, SEAT = 1.16, 0.80, 0.051
 """Iliac crest / hip joint and hollow of the knee / knee joint, heights above the floor; height of the hip joint above
 the seat / stature. Fitted by hand to the medians of ANSUR II's iliac height, popliteal height and seated shoulder, so a
@@ -134,7 +134,7 @@ def trunk_skin(model: Model, bodies: Bodies, low: F64, high: F64) -> NDArray[np.
 
 
 def lengths(model: Model, bodies: Bodies) -> dict[str, F64]:
-    """Lengths (n,) in m by the names of `protocols/draw/receivers.LENGTHS_MM`.
+    """Lengths (n,) in m by the names of `trials/draw/receivers.LENGTHS_MM`.
 
     Circumferences, chest_depth and chest_breadth are those of the capsules and of the box that hold the body, and so
     larger than a tape's.

@@ -47,7 +47,7 @@ MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
 LEAST_INWARDS = wp.constant(0.030150)
 """Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
 FOREARM_POINTS = wp.constant(9)
-"""Points of the forearm that must lie outside the torso's box, as when persons are placed (protocols/draw/receivers.py)."""
+"""Points of the forearm that must lie outside the torso's box, as when persons are placed (trials/draw/receivers.py)."""
 
 WAY_M = wp.constant(0.10)
 """Length of the straight ends of the ways: of the hand to the grasp, and of the gripper back from the object."""

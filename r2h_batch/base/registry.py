@@ -12,7 +12,7 @@ from r2h_batch.plugins import Registry
 
 
 class Protocol(NamedTuple):
-    """A named benchmark. `protocols/NAME.py` (- as _) has the function that makes it, of the same name."""
+    """A named benchmark. `trials/NAME.py` (- as _) has the function that makes it, of the same name."""
 
     name: str
     help: str  # of --benchmark
@@ -115,7 +115,7 @@ themselves when `sweep/results/NAME.py` is imported, and packages name theirs as
 
 TURNS = ("half", "cycled")
 """Turns of the objects' frames that a turn test makes: by 180 degrees about z; x to y, y to z, z to x.
-`protocols/edit.py` has them."""
+`trials/edit.py` has them."""
 
 if TYPE_CHECKING:
     PresetName: TypeAlias = str

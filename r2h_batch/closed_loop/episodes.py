@@ -12,8 +12,8 @@ from r2h_batch.base.user_code import chosen, raised
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
-from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.runs import provenance
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.types import Scores
 
 __all__ = ["Loop", "play", "policy_of"]

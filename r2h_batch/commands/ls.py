@@ -113,7 +113,7 @@ def _robots() -> Iterator[Line]:
 
 def _benchmarks() -> Iterator[Line]:
     from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOLS
-    from r2h_batch.protocols.registry import BENCHMARK
+    from r2h_batch.trials.registry import BENCHMARK
 
     about = {entry.name: entry.about for entry in PROTOCOLS}
     for name in BENCHMARK:
@@ -124,15 +124,15 @@ def _benchmarks() -> Iterator[Line]:
 def _schema() -> int:
     import json
 
-    from r2h_batch.protocols.file_fields import BenchmarkFile
+    from r2h_batch.trials.file_fields import BenchmarkFile
 
     print(json.dumps(BenchmarkFile.model_json_schema(), indent=1))
     return 0
 
 
 def _yaml() -> int:
-    from r2h_batch.protocols.file_fields import text_of
-    from r2h_batch.protocols.load import load_benchmark
+    from r2h_batch.trials.file_fields import text_of
+    from r2h_batch.trials.load import load_benchmark
 
     found = load_benchmark()
     sys.stdout.write(text_of(found.name, found.objects, found.receiver))
@@ -142,7 +142,7 @@ def _yaml() -> int:
 def _benchmark(name: str) -> int:
     """Reads a benchmark and all files that it names, and says what it holds."""
     from r2h_batch.base.registry import DEFAULT_PROTOCOL
-    from r2h_batch.protocols.load import load_benchmark
+    from r2h_batch.trials.load import load_benchmark
 
     found = load_benchmark(name or DEFAULT_PROTOCOL)
     same = " (the default benchmark)" if found.digest == load_benchmark().digest else ""

@@ -9,7 +9,7 @@ import tyro
 from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 1000
 LEAST_TCP_SPEED, MOST_TCP_SPEED = 0.01, 1.5

@@ -9,7 +9,7 @@ from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.commands.trials import MOST_TRIALS
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 
 def release(

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Literal
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.report.statistics.few import FEW, check_few
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run

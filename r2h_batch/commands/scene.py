@@ -6,7 +6,7 @@ from typing import Annotated
 import tyro
 
 from r2h_batch.base.io.write import check_output_file, check_output_folder
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 
 def scene(

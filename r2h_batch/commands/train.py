@@ -51,8 +51,8 @@ def rank(
         log: write the loss to TensorBoard, Weights & Biases, MLflow or Trackio too.
     """
     from r2h_batch.base.loggers import Logger
-    from r2h_batch.protocols.load import load_benchmark
     from r2h_batch.training.rank import CHECKPOINT, Recipe, train_ranker
+    from r2h_batch.trials.load import load_benchmark
 
     recipe = Recipe(
         families=families, leave_out=leave_out, regions=regions, seed=seed, items=items, steps=steps, rounds=rounds,

@@ -7,7 +7,7 @@ from typing import Literal
 from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 10**6
 
@@ -33,7 +33,7 @@ def trials(
     if not splits:
         raise UsageError("--splits names no split; allowed are S0, S1")
     check_output_folder(out, overwrite=None)
-    from r2h_batch.protocols.edit import edited
+    from r2h_batch.trials.edit import edited
     from r2h_batch.verdicts import SPLITS
     from r2h_batch.view.export.trial_files import write_trials
 

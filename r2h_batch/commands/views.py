@@ -45,9 +45,9 @@ def views(
     ):
         check_range(flag, value, low, high)
     from r2h_batch.observe.sees import Sees
-    from r2h_batch.protocols.load import load_benchmark
     from r2h_batch.training.pairs import stream
     from r2h_batch.training.views import write_views
+    from r2h_batch.trials.load import load_benchmark
 
     shown = Sees.parse(sees)
     found = load_benchmark(benchmark) if benchmark else load_benchmark()

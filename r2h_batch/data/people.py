@@ -1,6 +1,6 @@
 """Tables of people: the built-in one (`assets/people`), made from the free body model Anny, and files of lengths.
 
-A person has sex, age, stature, a hand and the lengths that `protocols/draw/receivers.py` places a body from.
+A person has sex, age, stature, a hand and the lengths that `trials/draw/receivers.py` places a body from.
 `import people` checks a file; a benchmark's `people` field and `sweep --people` read it.
 """
 
@@ -30,7 +30,7 @@ GROUPS = ("adults", "children", "elderly")
 """Built-in people by age: 18 to 65, 6 to 12, 70 to 90 years."""
 ALL, WHEELCHAIR = "all", "wheelchair"
 WORDS = (*GROUPS, ALL, WHEELCHAIR)
-"""`wheelchair`: the adults, each in a wheelchair (`protocols/draw/wheelchair.py`)."""
+"""`wheelchair`: the adults, each in a wheelchair (`trials/draw/wheelchair.py`)."""
 
 LENGTHS_M: dict[str, tuple[float, float]] = {
     "acromial_height": (0.45, 1.95),

@@ -13,8 +13,8 @@ from r2h_batch.base.launch.arguments import TensorLayoutGuard
 from r2h_batch.base.validate import describe_value, instance_of, one_of
 from r2h_batch.base.validate_tensors import as_numbers, check_range, check_tensor
 from r2h_batch.config import EvalConfig
-from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.predictions import doubts
 from r2h_batch.types import Predictions, Trials
 

@@ -36,12 +36,12 @@ from r2h_batch.observe.believed_object import KEPT_SOLIDS, believed_object
 from r2h_batch.observe.believed_world import ROOM_M
 from r2h_batch.observe.seeing import Level
 from r2h_batch.observe.seen import Observation, Receiver
-from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.hand import HandGeometry, HandModel, HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.holding.sampler import NoHoldError, sample_receiving
 from r2h_batch.trials.noise import perturbed
 from r2h_batch.types import Predictions, Trials

@@ -17,10 +17,10 @@ from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import CELL_V1
 from r2h_batch.observe.seen import LABELS
 from r2h_batch.observe.windows import middles, window_corners
-from r2h_batch.protocols.draw.rule import again
 from r2h_batch.scene.hand import rotation_from_axis_angle
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.draw.rule import again
 from r2h_batch.trials.noise import trial_ids
 from r2h_batch.types import Trials
 

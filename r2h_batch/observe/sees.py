@@ -21,7 +21,7 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
 if TYPE_CHECKING:
-    from r2h_batch.protocols.benchmark import Benchmark
+    from r2h_batch.trials.benchmark import Benchmark
 
 MOST_SEED = 10**12
 FORM = (

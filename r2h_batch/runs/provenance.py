@@ -42,7 +42,7 @@ def versions() -> dict[str, str]:
 
 
 ROOTS = (
-    *("protocols.draw", "protocols.load"),  # which trials there are
+    *("trials.draw", "trials.load"),  # which trials there are
     *("methods", "observe", "closed_loop"),  # who answers, what is seen, how the answer is played
     *("evaluate", "sweep.scoring"),  # the judge, and what hands it trials and stores its rows
 )

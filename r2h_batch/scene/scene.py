@@ -40,8 +40,8 @@ from r2h_batch.scene.hand import HandSet
 from r2h_batch.scene.tables import Hands, WorldTables
 
 if TYPE_CHECKING:  # it brings MuJoCo (0.2 s), which only simulations and pictures need
-    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.scene.model import SceneModel
+    from r2h_batch.trials.benchmark import Benchmark
 
 PLACED = (
     "R_hand_world",

@@ -27,14 +27,13 @@ from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
 from r2h_batch.base.validate import describe_value
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.trials_file import Labels
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Sweep
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.predictions import (
     Answers,
     Motions,
@@ -43,6 +42,7 @@ from r2h_batch.trials.predictions import (
     doubts,
     load_answers,
 )
+from r2h_batch.trials.trials_file import Labels
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import REGISTRY, SIDES
 
@@ -187,9 +187,9 @@ def prepare(
     import platform
 
     from r2h_batch.evaluate import Evaluator
-    from r2h_batch.protocols.benchmark import trials_digest
     from r2h_batch.scene.objects import object_digest
     from r2h_batch.scene.robot import load_robot
+    from r2h_batch.trials.benchmark import trials_digest
 
     config, loop = benchmark.config(sweep.configuration), sweep.loop
     count, objects = min(max(plan.values()), DIGEST_TRIALS), benchmark.objects

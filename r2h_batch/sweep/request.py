@@ -9,17 +9,17 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError, ObjectErrors
-from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
 from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, spelled_out
 from r2h_batch.sweep.settings import configuration
+from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
     from r2h_batch.closed_loop.episodes import Loop
     from r2h_batch.data.release import Imported
     from r2h_batch.observe.sees import Sees
-    from r2h_batch.protocols.benchmark import Benchmark
+    from r2h_batch.trials.benchmark import Benchmark
     from r2h_batch.trials.noise import Errors, PredictorNoise
 
 
@@ -71,7 +71,7 @@ class Sweep(Options):
         Raises:
             ValueError: one line; a `UsageError` where a split has no object.
         """
-        from r2h_batch.protocols.edit import edited, said_splits
+        from r2h_batch.trials.edit import edited, said_splits
 
         if splits := said_splits(self.choice):  # before any mesh is built
             self._check_splits(splits)

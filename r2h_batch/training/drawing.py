@@ -25,10 +25,10 @@ from r2h_batch.base.io.child import end_with
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.progress import progress
 from r2h_batch.methods.candidates import CandidateKind, candidates_of
-from r2h_batch.protocols.family_objects import Planned
 from r2h_batch.scene.families.kept import is_kept, was_drawn
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import Robot
+from r2h_batch.trials.family_objects import Planned
 
 FEW = 4
 """Instances that this process draws sooner alone than others begin to: each of these takes seconds of a core to start where it

@@ -7,8 +7,6 @@ from fnmatch import fnmatchcase
 from typing import TypeVar
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.family_objects import Planned, family_objects, planned_objects
 from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     INSTANCE_NAMES,
@@ -17,6 +15,8 @@ from r2h_batch.scene.objects import (
     load_objects,
 )
 from r2h_batch.training.drawing import Drawing
+from r2h_batch.trials.benchmark import Benchmark
+from r2h_batch.trials.family_objects import Planned, family_objects, planned_objects
 
 Instances = tuple[ObjectModel, ...]
 

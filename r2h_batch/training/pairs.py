@@ -26,11 +26,11 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods.candidates import without_candidates
 from r2h_batch.methods.ranker.observe import Seen, observe
 from r2h_batch.methods.ranker.proposals import NUMBERS, propose
-from r2h_batch.protocols.benchmark import MOST_TRIALS, Benchmark
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.training import reward
 from r2h_batch.training.instances import Instances, Source, sources
 from r2h_batch.training.regions import MOST_REGIONS, with_regions
+from r2h_batch.trials.benchmark import MOST_TRIALS, Benchmark
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 

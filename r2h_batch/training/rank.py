@@ -25,9 +25,9 @@ from r2h_batch.methods.learned import weights_file
 from r2h_batch.methods.ranker import features
 from r2h_batch.methods.ranker.network import UNNAMED, Ranker, read_weights, save_weights
 from r2h_batch.methods.ranker.search import scored_by
-from r2h_batch.protocols.benchmark import Benchmark
 from r2h_batch.training.mining import mine
 from r2h_batch.training.pairs import Pairs, stream
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.verdicts import CRITERIA
 
 WEIGHTS, CHECKPOINT, LESSONS = "rank.safetensors", "checkpoint.pt", "lessons-{}.pt"

@@ -8,7 +8,7 @@ from typing import Any, Literal
 from r2h_batch.base.command_line import check_range
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_file
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.verdicts import SPLITS
 
 FILMS = (".mp4", ".webm", ".gif")

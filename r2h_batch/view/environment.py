@@ -25,11 +25,11 @@ from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv
 from r2h_batch.closed_loop.episodes import check_in_gripper
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.config import EvalConfig
-from r2h_batch.protocols.benchmark import Benchmark
-from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.jobs import make_jobs, prepare
 from r2h_batch.sweep.options import base_of, check_method
 from r2h_batch.sweep.request import Sweep
+from r2h_batch.trials.benchmark import Benchmark
+from r2h_batch.trials.load import load_benchmark
 from r2h_batch.types import CRITERIA, Predictions, Scores
 from r2h_batch.verdicts import SPLITS
 from r2h_batch.view.drawing import View, view_of

@@ -17,9 +17,9 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from r2h_batch.protocols.draw.receivers import SHOES_M, TABLE_HEIGHT_M
 from r2h_batch.scene.arrays import asset, read_arrays
 from r2h_batch.scene.tables import MIDDLE_ROOT
+from r2h_batch.trials.draw.receivers import SHOES_M, TABLE_HEIGHT_M
 
 Array = NDArray[np.float64]
 

@@ -163,17 +163,17 @@ def test_of_several_processes_one_makes_it_and_the_others_wait(folder):
         (
             INSTANCES,
             ("scene/families/vessels.py", "scene/families/draw.py", "base/rng.py", "scene/objects.py"),
-            ("scene/scene.py", "protocols/family_objects.py"),
+            ("scene/scene.py", "trials/family_objects.py"),
         ),
         (
             RECEIVING,
             ("trials/holding/sampler.py", "scene/hand.py", "kernels/receiver/close_hand.py"),
-            ("scene/scene.py", "trials/holding/held_out.py", "protocols/draw/rule.py"),
+            ("scene/scene.py", "trials/holding/held_out.py", "trials/draw/rule.py"),
         ),
         (
             HELD_OUT,
             ("trials/holding/sampler.py", "trials/holding/held_out.py"),
-            ("scene/scene.py", "protocols/draw/rule.py"),
+            ("scene/scene.py", "trials/draw/rule.py"),
         ),
         (
             CANDIDATES,

@@ -13,9 +13,9 @@ from r2h_batch.base import rng
 from r2h_batch.closed_loop.moving import KINDS, MovingHands, ReceiverMotion, Taken, elbow_of, minimum_jerk
 from r2h_batch.data.data_sets import HandMotion
 from r2h_batch.data.hand_sets import Collected, motion_file, write
-from r2h_batch.protocols.draw.receivers import OF_PERSON, OF_POSTURE, propose
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.scene import Scene
+from r2h_batch.trials.draw.receivers import OF_PERSON, OF_POSTURE, propose
 
 STROKES = [k for k in KINDS if k not in ("still", "replay")]
 

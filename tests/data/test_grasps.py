@@ -14,11 +14,11 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.data.grasp_files import PAD_HALF_M, T_gripper_ee, read_file_of
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import seat_grasps
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.grasp_set import GraspSet, read_grasps
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import load_robot
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 
 RNG = np.random.default_rng(4)
 

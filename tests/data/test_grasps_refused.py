@@ -10,9 +10,9 @@ from refusals import one_line
 
 from r2h_batch.data import hdf5
 from r2h_batch.data.grasp_files import read_file_of
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.grasp_set import read_grasps
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 
 
 def linked(tmp_path, kind):

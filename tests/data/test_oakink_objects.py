@@ -7,8 +7,8 @@ import pytest
 import trimesh
 
 from r2h_batch.__main__ import main
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 
 
 def block(x0, x1):

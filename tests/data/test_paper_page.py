@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.__main__ import main
 from r2h_batch.data.mano import load_mano
-from r2h_batch.protocols.yaml_file import read_benchmark
+from r2h_batch.trials.yaml_file import read_benchmark
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "howto" / "paper.md").read_text()
 

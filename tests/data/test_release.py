@@ -19,11 +19,11 @@ from r2h_batch import EvalConfig, Evaluator
 from r2h_batch.__main__ import main
 from r2h_batch.data.release import read_trials
 from r2h_batch.judge.grasp import region_distance
-from r2h_batch.protocols.yaml_file import read_benchmark
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot import Primitives, ShapeKind, load_robot, slide_table, table_linkage
+from r2h_batch.trials.yaml_file import read_benchmark
 from r2h_batch.types import Outcome
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.region_boxes import region_as_boxes

@@ -18,7 +18,7 @@ from r2h_batch.judge.conventions import failing, other_poses, pose_hint
 from r2h_batch.methods import oracle, random
 from r2h_batch.methods.predictors import predict_target
 from r2h_batch.observe import moments
-from r2h_batch.protocols.load import load_benchmark
+from r2h_batch.trials.load import load_benchmark
 
 HALF = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
 

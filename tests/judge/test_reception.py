@@ -23,10 +23,10 @@ from r2h_batch.judge.reception import ANGLES, STEPS, chance_of_one, reception, r
 from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
-from r2h_batch.protocols.draw.receivers import arm_axes
 from r2h_batch.scene.hand import HandModel
 from r2h_batch.scene.objects import load_objects
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
+from r2h_batch.trials.draw.receivers import arm_axes
 from r2h_batch.trials.holding import held_out
 from r2h_batch.trials.holding.capacity import usual_grips
 from r2h_batch.trials.holding.held_out import (

@@ -7,8 +7,8 @@ from r2h_batch import load_benchmark
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import fc, intent
 from r2h_batch.methods.placing import center_of
-from r2h_batch.protocols.edit import frame_of
 from r2h_batch.scene.objects import BUILT_IN_NAMES, load_objects, turned
+from r2h_batch.trials.edit import frame_of
 
 ANY_TURN = "20,40,60"
 INSTANCES = ["cup_02", "hammer_01", "eyeglasses_03", "power_drill_00", "bottle_04"]

@@ -113,7 +113,7 @@ def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_t
             rows = [row for row in secret.reshape(len(secret), -1) if len(torch.unique(row)) > 3] or [secret]
             assert all(row.contiguous().numpy().tobytes() not in everything for row in rows)
         assert not any(model.name.encode() in text for text in found["texts"])
-    rooms = ("scene", "trials", "protocols", "judge", "data", "evaluate", "types", "sweep", "methods")
+    rooms = ("scene", "trials", "judge", "data", "evaluate", "types", "sweep", "methods")
     assert not [m for m in found["modules"] if m.startswith(tuple(f"r2h_batch.{room}" for room in rooms))]
     assert not any(text.endswith((".npz", ".obj", ".parquet")) for text in found["files"])
 

@@ -7,8 +7,6 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.__main__ import main
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.of_run import benchmark_of_run
 from r2h_batch.report.statistics.breakdown import examples
 from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import render, table_of
@@ -17,6 +15,8 @@ from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.of_run import benchmark_of_run
 
 DRAFT = Path(__file__).resolve().parents[1] / "frozen" / "draft"
 """A run of the draft that asked for Taken, with transfers beside its shards."""

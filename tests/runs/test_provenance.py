@@ -19,7 +19,7 @@ from r2h_batch.runs.header import differing
 from r2h_batch.sweep import command as sweep
 
 DECIDE = {
-    "draw of trials": ("protocols/draw/reaching.py", "protocols/r2h_v2.py", "scene/families/vessels.py"),
+    "draw of trials": ("trials/draw/reaching.py", "trials/r2h_v2.py", "scene/families/vessels.py"),
     "what methods see": ("trials/noise.py", "methods/predictors/hands.py", "observe/sensor.py", "observe/rig.py"),
     "method": ("methods/fc.py", "methods/ranker/search.py"),
     "closed loop": ("closed_loop/env.py", "closed_loop/policies.py", "closed_loop/episodes.py"),
@@ -151,7 +151,7 @@ def test_new_files_count_where_something_that_decides_rows_needs_them(tree):
 
 def test_all_of_what_the_judge_is_made_of_decides_rows():
     decides = provenance.deciding_files()
-    for room in each(("protocols/draw", "methods", "observe", "closed_loop", "judge/motion", "scene/families")):
+    for room in each(("trials/draw", "methods", "observe", "closed_loop", "judge/motion", "scene/families")):
         files = (provenance.ROOT / room).rglob("*.py")
         assert {f.relative_to(provenance.ROOT) for f in files} <= decides.keys(), room
     modules = [".".join(key.with_suffix("").parts) for key in decides if key.suffix == ".py"]

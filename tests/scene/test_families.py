@@ -17,13 +17,13 @@ from scipy.spatial import ConvexHull
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError, UserError
 from r2h_batch.methods.candidates import candidates_of
-from r2h_batch.protocols.family_objects import FIRST_SERIES, family_objects, family_splits
 from r2h_batch.scene.families import kept
 from r2h_batch.scene.families.draw import SHIPPED, TRAINING, draw_instance, filled_to, model_of
 from r2h_batch.scene.families.family import FAMILIES, GLASS, NUMBERS, TURNS, Draw, Shape, family
 from r2h_batch.scene.families.remesh import Surface, heights, without_slivers
 from r2h_batch.scene.families.shapes import Parts, box
 from r2h_batch.scene.objects import INSTANCE_NAMES, OBJECT_NAMES, load_objects, object_digest, turned
+from r2h_batch.trials.family_objects import FIRST_SERIES, family_objects, family_splits
 from r2h_batch.trials.holding.receiving import load_receiving
 
 REPORT = json.loads((resources.files("r2h_batch.assets.families") / "report.json").read_text())

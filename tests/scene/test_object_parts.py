@@ -7,12 +7,12 @@ import pytest
 import trimesh
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.scene import objects
 from r2h_batch.scene.build_ahead import build_ahead
 from r2h_batch.scene.mesh_import.cache import key_of
 from r2h_batch.scene.objects import ObjectMeshError, build_object, is_built, object_digest, object_from_argument
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 
 
 def block(x0, x1):

@@ -39,8 +39,6 @@ from r2h_batch.data.robot_srdf import read_srdf
 from r2h_batch.data.safe_pickle import read_npy, read_pickle_file
 from r2h_batch.methods.ranker.network import read_weights
 from r2h_batch.observe.rig import load_rig
-from r2h_batch.protocols.load import load_benchmark
-from r2h_batch.protocols.trials_file import read_trials_file
 from r2h_batch.runs.files import sha256_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_set import read_grasps
@@ -49,7 +47,9 @@ from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.robot import read_robot
 from r2h_batch.sweep.options import load_config
 from r2h_batch.sweep.study.report import read_ratings
+from r2h_batch.trials.load import load_benchmark
 from r2h_batch.trials.predictions import load_answers
+from r2h_batch.trials.trials_file import read_trials_file
 
 ROOT = Path(__file__).resolve().parents[2]
 

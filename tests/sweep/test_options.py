@@ -10,10 +10,10 @@ from rounds import each
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.config import MADE_BY, OBJECT_ERRORS, EvalConfig, ExecutionError, ObjectErrors
-from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.sweep.options import Flags, Options, check, full_help, load_config, parse
 from r2h_batch.sweep.request import Sweep, requested
 from r2h_batch.sweep.settings import ELSEWHERE, configured, flag_of, settings, value_of
+from r2h_batch.trials.load import load_benchmark
 
 
 def write(tmp_path, text):

@@ -10,9 +10,9 @@ import pytest
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
-from r2h_batch.protocols.edit import FRAMES, frame_of, in_frame
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import object_digest
+from r2h_batch.trials.edit import FRAMES, frame_of, in_frame
 
 BY_X = """
 import torch

@@ -18,13 +18,13 @@ from rounds import each
 from torch.utils.data import DataLoader
 
 from r2h_batch import load_benchmark
-from r2h_batch.protocols.family_objects import drawn_instance, planned_objects
 from r2h_batch.scene.families.kept import was_drawn
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.robot import load_robot
 from r2h_batch.training import stream
 from r2h_batch.training.drawing import Drawing
 from r2h_batch.training.rank import CHECKPOINT, Recipe, Training, train_ranker
+from r2h_batch.trials.family_objects import drawn_instance, planned_objects
 
 FAMILIES = "knife,bottle x 3 seed 9"
 SIZES = {"pairs": 4, "trials": 8, "items": 7, "renew": 2}

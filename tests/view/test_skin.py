@@ -5,9 +5,9 @@ import pytest
 from rounds import each
 from scipy.spatial import cKDTree
 
-from r2h_batch.protocols.choice import BenchmarkChoice
-from r2h_batch.protocols.edit import edited
 from r2h_batch.scene.tables import MIDDLE_ROOT, Hands
+from r2h_batch.trials.choice import BenchmarkChoice
+from r2h_batch.trials.edit import edited
 from r2h_batch.types import PERSON
 from r2h_batch.verdicts import SEXES
 from r2h_batch.view.episode import EpisodeDrawing

@@ -11,7 +11,7 @@ from r2h_batch.base.validate import instance_of, integer
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.inputs import Stages, check_stages
-from r2h_batch.protocols.benchmark import Benchmark
+from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.types import Scores, Trials
 
 _WARM_UP = 3

@@ -9,8 +9,8 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
 
 if TYPE_CHECKING:
-    from r2h_batch.protocols.benchmark import Benchmark
     from r2h_batch.runs.store import Run
+    from r2h_batch.trials.benchmark import Benchmark
 
 BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""

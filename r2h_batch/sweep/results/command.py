@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from r2h_batch.base.command_line import check_seed
 from r2h_batch.base.errors import UsageError
-from r2h_batch.protocols.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.sweep.results.rethreshold import rethreshold
+from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run

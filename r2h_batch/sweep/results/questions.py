@@ -18,13 +18,13 @@ from numpy.typing import NDArray
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
-from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.side import made_of, side_path, write_side
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.judge import Judge, check_poses
+from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.types import Scores
 
 ROWS = 1024

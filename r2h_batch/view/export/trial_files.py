@@ -20,10 +20,10 @@ from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import Candidates
-from r2h_batch.protocols.benchmark import TRIALS, Benchmark, trials_digest
 from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, object_digest
 from r2h_batch.scene.robot import ee_pose
+from r2h_batch.trials.benchmark import TRIALS, Benchmark, trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 

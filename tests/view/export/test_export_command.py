@@ -79,7 +79,7 @@ def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     other = dataclasses.replace(
         load_benchmark("r2h-v1"), hand_set=dataclasses.replace(hand.load_hand_set(), digest="0" * 64)
     )
-    monkeypatch.setattr("r2h_batch.protocols.edit.load_benchmark", lambda *_, **__: other)
+    monkeypatch.setattr("r2h_batch.trials.edit.load_benchmark", lambda *_, **__: other)
     assert "hand_set" in refused([run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 

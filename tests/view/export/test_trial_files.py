@@ -8,9 +8,9 @@ import torch
 from hand_twins import hand_vertices, palms
 
 from r2h_batch import load_benchmark
-from r2h_batch.protocols.benchmark import trials_digest
 from r2h_batch.scene.hand import load_hand
 from r2h_batch.scene.objects import S0_NAMES, S1_NAMES, load_objects
+from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.view.export.trial_files import write_trials
 
 

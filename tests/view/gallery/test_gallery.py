@@ -7,8 +7,8 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.protocols.choice import BenchmarkChoice
 from r2h_batch.runs.store import load_run
+from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.verdicts import Outcome
 from r2h_batch.view.gallery import pictures
 from r2h_batch.view.gallery.pictures import first_of_each_outcome

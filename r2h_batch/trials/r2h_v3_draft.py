@@ -1,0 +1,22 @@
+"""Draft of benchmark r2h-v3: objects, people and hands of r2h-v2. The arm has to pick the object from the table first, and the
+person has to be able to take it in the end.
+
+Not frozen: trials, criteria and thresholds may change (docs/pick.md).
+"""
+
+from dataclasses import replace
+
+from r2h_batch.trials.benchmark import Benchmark
+from r2h_batch.trials.certified import load_certified
+from r2h_batch.trials.draw.reaching import place_reaching
+from r2h_batch.trials.draw.rule import Rule
+from r2h_batch.trials.registry import BENCHMARK, named_benchmark
+from r2h_batch.verdicts import ASKED_NAMES
+
+
+@BENCHMARK("r2h-v3-draft")
+def r2h_v3_draft() -> Benchmark:
+    """r2h-v2 with Pick and Received, and trials of its own."""
+    rule = Rule("r2h-v3-draft", place_reaching, bodies=True)
+    v2, known = named_benchmark("r2h-v2"), load_certified("r2h-v3-draft")
+    return replace(v2, rule=rule, name="r2h-v3-draft", asks=ASKED_NAMES, certified=known)
