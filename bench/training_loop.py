@@ -4,7 +4,8 @@ python bench/training_loop.py [--device cpu|cuda:0] [--largest N] [--json FILE]
 
 Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v2, half with the oracle's poses, half
 with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp), 3 cm and 10 degrees (handover), normal
-distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own.
+distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own. All of the
+default benchmark. Behind it, `random`: random poses of the default and of each other built-in benchmark, 1,024 trials repeated.
 Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
 counts little), its smallest, and candidates_per_2_core_s what two cores would do at that price with nothing else to do.
 On CUDA there is one kind of time: wall, synchronised.
@@ -13,7 +14,7 @@ On CUDA there is one kind of time: wall, synchronised.
 import argparse
 import statistics
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,10 @@ from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import launch
+from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
+from r2h_batch.methods import random
 from r2h_batch.types import Outcome, PlanReason
 
 MEASURES = (
@@ -40,6 +43,7 @@ MEASURES = (
     "r2h_batch/work.py",
 )
 SIZES = (1, 64, 4096, 65536)
+KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 
 class Clock:
@@ -96,31 +100,46 @@ def distinct(c: Poses) -> Poses:
     return T_obj_ee, T_world_ee, c[2]
 
 
-def sizes(report: Report, evaluator: Evaluator, mix: Poses, clock: Clock, largest: int) -> None:
-    for b in sorted({*(s for s in SIZES if s <= largest), largest}):
+def sizes(
+    report: Report,
+    evaluator: Evaluator,
+    mix: Poses,
+    clock: Clock,
+    of: Iterable[int],
+    figure: str = "training_loop.pose",
+) -> None:
+    for b in of:
         c = repeated(mix, b)
         repeats = 30 if b < 1000 else 5 if b < 10000 else 2
         median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), repeats)  # type: ignore[misc]
-        name = f"training_loop.pose.b{b}"
+        name = f"{figure}.b{b}"
         report.add(f"{name}.candidates_per_s", b / median)
         report.add(f"{name}.candidates_per_s_best", b / best)
         report.add(f"{name}.core_us_per_candidate", 1e6 * core / b)
         report.add(f"{name}.candidates_per_2_core_s", 2 * b / core)
 
 
+def every_benchmark(report: Report, clock: Clock, device: str, threads: int | None) -> None:
+    """Random poses of each built-in benchmark, the default first."""
+    others = (name for name in PROTOCOL_NAMES if name not in (DEFAULT_PROTOCOL, RELEASE))
+    for name in (DEFAULT_PROTOCOL, *others):
+        benchmark = load_benchmark(name)
+        evaluator = Evaluator(benchmark, KINEMATIC, device=device, threads=threads)
+        trials = benchmark.trials(512)
+        trials = trials[trials.trial_id.argsort()].to(device)  # S0 and S1 by turns
+        made = random.predict(trials, evaluator.scene, seed=0)
+        poses = made.T_obj_ee, made.T_world_ee, trials
+        sizes(report, evaluator, poses, clock, SIZES[:3], f"training_loop.random.{name}")
+
+
 def run(options: argparse.Namespace, report: Report) -> None:
     """Measures all of it."""
     clock = Clock(options.device)
     largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
-    evaluator = Evaluator(
-        load_benchmark(),
-        EvalConfig(execute=ExecConfig(sim="none")),
-        device=options.device,
-        threads=options.threads,
-    )
+    evaluator = Evaluator(load_benchmark(), KINEMATIC, device=options.device, threads=options.threads)
     mix = candidates(evaluator, "mix")
     report.add("training_loop.threads", launch.cpu_threads(options.threads))
-    sizes(report, evaluator, mix, clock, largest)
+    sizes(report, evaluator, mix, clock, sorted({*(s for s in SIZES if s <= largest), largest}))
     near = repeated(candidates(evaluator, "perturbed"), 4096)
     for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
         median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), 5)  # type: ignore[misc]
@@ -136,6 +155,7 @@ def run(options: argparse.Namespace, report: Report) -> None:
         report.add(
             f"training_loop.{name}.stability_failures", float((s.outcome == int(Outcome.STABILITY)).double().mean())
         )
+    every_benchmark(report, clock, options.device, options.threads)
 
 
 BENCH = Bench(

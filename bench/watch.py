@@ -111,13 +111,13 @@ def judge_of(sim: str) -> Any:
     from r2h_batch.config import ExecConfig
 
     config = EvalConfig(execute=ExecConfig(sim="none")) if sim == "none" else None
-    return BATCH.Evaluator(BATCH.load_benchmark("r2h-v2"), config)
+    return BATCH.Evaluator(BATCH.load_benchmark(), config)
 
 
 @cache
 def first_trials() -> Any:
     """The trials of bench/mix.npz, in the order of their numbers."""
-    trials = BATCH.load_benchmark("r2h-v2").trials(512)
+    trials = BATCH.load_benchmark().trials(512)
     return trials[trials.trial_id.argsort()]
 
 

@@ -18,6 +18,7 @@ then on only pairs that may meet in the middle are checked (MAY_MEET), because t
 
 import warp as wp
 
+from r2h_batch.kernels.geometry.balls import balls_within
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.shape import BLOCKS, BOX, Shape
 from r2h_batch.kernels.options import OPTIONS
@@ -162,6 +163,14 @@ def check_interval(
                 ):  # fmt: skip
                     hand_on = False
                     masks[0] = masks[0] & ~bits
+                elif query.aim == 0 and not moving:  # a person's ball holds much air: piece by piece
+                    near = balls_within(
+                        world.piece_center, world.piece_radius, hand * world.n_pieces, world.n_pieces,
+                        c0, c1, world.link_radius[link], target,
+                    )  # fmt: skip
+                    if near == wp.uint64(0):
+                        hand_on = False
+                        masks[0] = masks[0] & ~bits
             target = _target(query, out.best, query.other_margin, False)
             if table_on:  # noqa: SIM102 (Warp's `and` evaluates both sides)
                 if link_clears_table(world, query, target, link, c0, c1, up, table_p, moving):
