@@ -334,9 +334,8 @@ def _sample(scores: Scores) -> Tensor | None:
     if 4 * succeed > 3 * n:  # no quarter of them could be won
         return None
     rows = torch.nonzero(valid)[:, 0]
-    return rows[
-        torch.linspace(0, n - 1, min(n, SAMPLE), dtype=torch.float64).long().to(rows.device)
-    ]
+    chosen = torch.linspace(0, n - 1, min(n, SAMPLE), dtype=torch.float64, device="cpu").long()
+    return rows[chosen.to(rows.device)]
 
 
 def _eight(scores: Scores) -> Tensor | None:
