@@ -127,7 +127,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
     from r2h_batch.runs.rows import TrialNames
 
     n = 150
-    trials = load_benchmark("r2h-v1").trials(n)
+    trials = load_benchmark("r2h-v0").trials(n)
     changes = {"reach_radius_m": (0.06, 0.1, 0.2), "w_max_m": (0.02, 0.05, 0.085), "safe_margin_m": (0.0, 0.01, 0.03)}
     evaluator = default_evaluator()
     predictions = method.predict(trials, evaluator.scene, seed=0)
@@ -140,7 +140,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
         writer.append(trials=score_rows(trials, scores, names))
     for radius, width, safe in each(zip(*changes.values())):
         thresholds = Thresholds(reach_radius_m=radius, w_max_m=width, safe_margin_m=safe)
-        again = Evaluator(dataclasses.replace(load_benchmark("r2h-v1"), thresholds=thresholds))
+        again = Evaluator(dataclasses.replace(load_benchmark("r2h-v0"), thresholds=thresholds))
         same = trials.named(again.scene.objects)
         outcome = again.score(predictions.T_obj_ee, predictions.T_world_ee, same).outcome.numpy()
         grid = {"reach_radius_m": [radius], "w_max_m": [width], "safe_margin_m": [safe]}
