@@ -18,8 +18,6 @@ import r2h_batch  # noqa: F401 - registers the environment
 from r2h_batch.closed_loop import LoopConfig
 from r2h_batch.closed_loop.for_sb3 import Sb3VecEnv
 
-SIZES = {"n_steps": 64, "batch_size": 512, "n_epochs": 4}
-
 
 def main(argv: list[str] | None = None) -> dict[str, float]:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -31,10 +29,11 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
         "r2h_batch/Handover-v1", num_envs=given.envs, vectorization_mode="vector_entry_point", autoreset=False,
         method="oracle", trials=given.trials, config=LoopConfig(rate_hz=10, horizon_s=8),
     )  # fmt: skip
-    flat = RescaleAction(FlattenObservation(envs), np.float32(-1), np.float32(1))
-    learned = PPO("MlpPolicy", VecNormalize(VecMonitor(Sb3VecEnv(flat)), gamma=0.995), gamma=0.995, seed=0, **SIZES)
+    flat = RescaleAction(FlattenObservation(envs), -1.0, 1.0)
+    normal = VecNormalize(VecMonitor(Sb3VecEnv(flat)), gamma=0.995)
+    learned = PPO("MlpPolicy", normal, gamma=0.995, seed=0, n_steps=64, batch_size=512, n_epochs=4)
     learned.learn(given.steps)
-    episodes, ends = learned.ep_info_buffer or [], learned.ep_success_buffer or []
+    episodes, ends = list(learned.ep_info_buffer or ()), list(learned.ep_success_buffer or ())
     found = {
         "episodes": len(episodes),
         "return": float(np.mean([e["r"] for e in episodes])),

@@ -81,7 +81,7 @@ class Column:
             return self.form(record)
         known = {"value": record.get(self.name)}
         known |= {end: record.get(f"{self.name}_{end}") for end in ("low", "high", "of")}
-        used = {name: value for name, value in known.items() if f"{{{name}" in self.form}
+        used: dict[str, Any] = {k: v for k, v in known.items() if f"{{{k}" in self.form}
         if any(value is None for value in used.values()):
             return self.none
         if self.scale != 1.0:

@@ -50,7 +50,7 @@ class Sb3VecEnv(VecEnv):
         last, reward, ended, late, infos = self.envs.step(self._actions)
         over, columns = ended | late, [infos[name].tolist() for name in _AT_EVERY_STEP]
         rows = [dict(zip(_AT_EVERY_STEP, row, strict=True)) for row in zip(*columns, strict=True)]
-        for row in np.flatnonzero(over):
+        for row in np.flatnonzero(over).tolist():
             rows[row]["TimeLimit.truncated"] = bool(late[row] and not ended[row])
             rows[row]["terminal_observation"] = _row(last, row)
         if over.any():

@@ -84,8 +84,9 @@ def other_poses(
         f"T_obj_ee {FLANGE}": (from_flange[0], T_world_ee),
         f"both poses {FLANGE}": from_flange,
         "T_obj_ee and T_world_ee exchanged": (T_world_ee, T_obj_ee),
-        f"the rotations of both poses transposed: {COLUMNS}": tuple(
-            map(_transposed, (T_obj_ee, T_world_ee))
+        f"the rotations of both poses transposed: {COLUMNS}": (
+            _transposed(T_obj_ee),
+            _transposed(T_world_ee),
         ),
         f"the rotation of T_obj_ee transposed: {COLUMNS}": (_transposed(T_obj_ee), T_world_ee),
         f"the rotation of T_world_ee transposed: {COLUMNS}": (T_obj_ee, _transposed(T_world_ee)),
@@ -367,6 +368,6 @@ def _best(scores: Scores, found: Scores, names: Sequence[str], n: int) -> str | 
     alike = failing(valid).tolist()
     words = " and ".join(name for name, of in zip(scores.criteria, alike, strict=True) if of)
     fail = f"all {len(valid)} rows fail{f' {words}' if words else ''}"
-    if succeed := int(valid.success.sum()):
-        fail = f"{succeed} of {len(valid)} rows succeed; at the handover {given} of {n} pass as they are given"
+    if passing := int(valid.success.sum()):
+        fail = f"{passing} of {len(valid)} rows succeed; at the handover {given} of {n} pass as they are given"
     return f"{fail}; {'; '.join(said)}"

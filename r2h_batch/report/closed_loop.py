@@ -1,5 +1,6 @@
 """Handovers in closed loop as tables: how episodes ended, beside the verdict of the plan, and how they went."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -84,7 +85,7 @@ def _numbers(rows: dict[str, np.ndarray], won: np.ndarray) -> dict[str, float]:
     lived = rows["time_s"] > 0
     if not lived.any():
         return {}
-    over = {
+    over: dict[str, Callable[[np.ndarray], Any]] = {
         **{"least_m": np.median, "slack_m": np.mean, "near_speed_m_s": np.median},
         **{"pfl_share": np.max, "ssm_s": np.mean},
         **dict.fromkeys(("robot_idle", "human_idle", "concurrent", "delay"), np.mean),

@@ -146,7 +146,8 @@ def _overview(report: Report, compared: Sequence[Comparison], short: Mapping[str
     failures and T_exec of the last row (Avg, or the only split)."""
     best, kind = best_cells(report), "categories" if report.families else "objects"
     splits = list(dict.fromkeys(row.split for row in report.rows))
-    records, bold = [], set()
+    records: list[dict[str, Any]] = []
+    bold: set[tuple[int, str]] = set()
     for method in dict.fromkeys(row.method for row in report.rows):
         own = {r["split"]: r for r in records_of(report) if r["method"] == method}
         tests = [t for t in report.turns if t.method == method and t.marked]

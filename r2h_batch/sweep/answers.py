@@ -118,7 +118,7 @@ def own_streams(name: str) -> Iterator[None]:
     """Sends a method's prints to stderr: stdout is the table's. A stream that it closed or replaced
     is put back, and it cannot end the process without a word by `os._exit`."""
     printed, before = io.StringIO(), os._exit
-    os._exit = _no_exit  # type: ignore[assignment]
+    os._exit = _no_exit
     try:
         with redirect_stderr(sys.stderr), redirect_stdout(printed):
             yield

@@ -67,7 +67,9 @@ DECIDES_NOTHING = {
     **dict.fromkeys(("h5py", "yaml", "safetensors"), "reads files, whose digests are stored"),
     **dict.fromkeys(("jaxtyping", "pydantic", "pydantic_core", "tyro"), "says which values are allowed"),
     **dict.fromkeys(("pandas", "rich"), "shows values"),
-    "gymnasium": "names of spaces", "threadpoolctl": "how many threads there are", "triton": "is imported before MuJoCo",
+    "gymnasium": "names of spaces",
+    "stable_baselines3": "hands episodes to a learner",
+    "threadpoolctl": "how many threads there are", "triton": "is imported before MuJoCo",
 }  # fmt: skip
 READERS = ("report", "view", "commands", "sweep.results", "sweep.study")
 """Rooms that no module that decides rows may need, but for the imports that `NOT_FOLLOWED` names."""

@@ -73,7 +73,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert command("report", run / "run", "--format", "html", "--out", run / "page.html") == 0
     capsys.readouterr()
     page = (run / "page.html").read_text()
-    moved = re.findall(r'<td class="l moved" title="([^"]*)">([^<]*)</td>', page)
+    moved = re.findall(r'<td class=l title="([^"]*)"[^>]*>([^<]*\^)</td>', page)
     assert [name.partition(" ")[0] for _, name in moved] == ["mine"] * 2  # overview and Table I
     assert all("mine, S1: success" in title for title, _ in moved)
     assert command("compare", run / "run") == 0

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import stats
 
 from r2h_batch.base.errors import FileError, UsageError
-from r2h_batch.base.table import document, of_lines
+from r2h_batch.base.table import Table, document, of_lines
 from r2h_batch.sweep.study.table_file import LINE, NAME, number, read_table
 
 DRAWS = 10_000
@@ -52,7 +52,8 @@ def read_ratings(path: Path) -> dict[str, Ratings]:
 
 def rating_report(ratings: Mapping[str, Ratings]) -> str:
     """Summaries and tests of every dimension."""
-    keys, parts = ("mean", "median", "q1", "q3", "min", "max"), []
+    keys = ("mean", "median", "q1", "q3", "min", "max")
+    parts: list[Table | str] = []
     order = [0.5, 0.25, 0.75, 0, 1]  # of the quantiles, after the mean
     for dimension, (table, methods, left_out) in ratings.items():
         test, lines = rating_tests(table, methods), []
