@@ -28,7 +28,8 @@ from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import IkResult, reference_chain, solve_ik
 from r2h_batch.kernels.ik.step import STATUS_EDGE, STATUS_FOUND, STATUS_SINGULAR
-from r2h_batch.scene.robot import Robot, ee_pose, load_robot
+from r2h_batch.scene.robot import Robot, ee_pose
+from r2h_batch.scene.robot_file import load_robot
 
 MEASURES = (
     "bench/ik.py",

@@ -40,7 +40,7 @@ from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.mesh_import.pieces import convex_pieces
 from r2h_batch.scene.objects import ObjectMeshError, build_object
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.sweep.jobs import Setting, make_jobs
 from r2h_batch.sweep.request import Sweep
 from r2h_batch.trials.holding.receiving import load_receiving

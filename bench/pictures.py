@@ -125,7 +125,7 @@ def held(model, T_obj_ee, opening, hand, hand_faces, size):
     from scipy.spatial.transform import Rotation
 
     from r2h_batch.judge.grasp import gripper_poses
-    from r2h_batch.scene.robot import load_robot
+    from r2h_batch.scene.robot_file import load_robot
 
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth = spec.visual.global_.offheight = size

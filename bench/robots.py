@@ -39,7 +39,8 @@ from r2h_batch.judge.ik import reference_chain, solve_ik
 from r2h_batch.judge.planner import Planner
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
-from r2h_batch.scene.robot import Robot, ee_pose, load_robot
+from r2h_batch.scene.robot import Robot, ee_pose
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 MEASURES = (

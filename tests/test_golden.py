@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from golden import CASES, GOLDEN, PARTS, compute, holds, sweep_digests
 
-from r2h_batch.scene.robot import load_robot, write_robot
+from r2h_batch.scene.robot_file import load_robot, write_robot
 
 QUICK = ("pose", "none")
 EVERY_DAY = [

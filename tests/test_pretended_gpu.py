@@ -13,7 +13,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import home_posture
 from r2h_batch.methods import oracle, random
 from r2h_batch.scene.grasp_tables import gripper_tables
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Scores, Trials
 

@@ -18,7 +18,8 @@ from r2h_batch.judge.ik_any import APART_RAD
 from r2h_batch.methods.oracle import predict
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import ROBOTS, Robot, ee_pose, load_robot, read_robot, write_robot
+from r2h_batch.scene.robot import Robot, ee_pose
+from r2h_batch.scene.robot_file import ROBOTS, load_robot, read_robot, write_robot
 from r2h_batch.types import PlanReason
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))

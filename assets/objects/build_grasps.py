@@ -21,7 +21,7 @@ from r2h_batch.methods.candidates import STORED
 from r2h_batch.methods.grasps import COUNT, REGION_CLEARANCE_M, Candidates, generate_grasps, sample_grasps
 from r2h_batch.scene.arrays import arrays_digest, read_arrays
 from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 HERE = Path(__file__).resolve().parent

@@ -2,7 +2,7 @@
 and a function in its folder. Light.
 
 Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, families of
-`scene.families.family.FAMILIES`, robots of `scene.robot.ROBOTS`.
+`scene.families.family.FAMILIES`, robots of `scene.robot_file.ROBOTS`.
 """
 
 from collections.abc import Mapping

@@ -77,7 +77,7 @@ def robot(
     from r2h_batch.data.robot import import_robot
     from r2h_batch.data.robot_packages import file_from
     from r2h_batch.scene.offscreen import RenderError
-    from r2h_batch.scene.robot import write_robot
+    from r2h_batch.scene.robot_file import write_robot
 
     if [urdf is None, mjcf is None, not source].count(False) != 1:
         raise UsageError("give the arm as --urdf FILE, as --mjcf FILE or as --from PACKAGE:NAME")

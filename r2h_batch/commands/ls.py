@@ -103,7 +103,7 @@ def _not_shipped() -> "list[Family]":
 
 
 def _robots() -> Iterator[Line]:
-    from r2h_batch.scene.robot import ROBOTS, load_robot
+    from r2h_batch.scene.robot_file import ROBOTS, load_robot
 
     for name in ROBOTS:
         robot = load_robot(name)

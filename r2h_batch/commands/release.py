@@ -36,7 +36,7 @@ def release(
     check_output_folder(out, overwrite=None)
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.store import UNJUDGED, load_run
-    from r2h_batch.scene.robot import DEFAULT_ROBOT
+    from r2h_batch.scene.robot_file import DEFAULT_ROBOT
 
     stored = load_run(run)
     if stored.robot != DEFAULT_ROBOT:

@@ -41,7 +41,8 @@ from r2h_batch.base.io.read import printable, read_json, read_npy, read_npz, rea
 from r2h_batch.data.arrays import numbers, rigid
 from r2h_batch.data.hdf5 import read_datasets
 from r2h_batch.scene.grasp_set import MAX_GRASPS, GraspSet, checked_grasps, read_grasps
-from r2h_batch.scene.robot import DEFAULT_ROBOT, drive_from_gap, load_robot, pad_center_z
+from r2h_batch.scene.robot import drive_from_gap, pad_center_z
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 
 F64 = NDArray[np.float64]
 PAD_HALF_M = 0.01875

@@ -57,7 +57,8 @@ from r2h_batch.data.release_files import (
 from r2h_batch.runs.store import IMPORTED
 from r2h_batch.scene.hand import MAX_SKIN_PIECES, palm_frame
 from r2h_batch.scene.mesh_import.region import faces_in_boxes
-from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.verdicts import SIDES, SPLITS
 
 Array = NDArray[np.float64]

@@ -60,20 +60,22 @@ from r2h_batch.data.robot_shapes import (
 )
 from r2h_batch.data.robot_srdf import compared, home_of, read_srdf
 from r2h_batch.scene.robot import (
-    DEFAULT_ROBOT,
-    MAX_BODIES,
     Primitives,
     Robot,
     ShapeKind,
-    check_robot,
     frozen,
     hull_size,
-    load_robot,
-    part_names,
-    robot_file,
     slide_table,
     table_linkage,
     table_motions,
+)
+from r2h_batch.scene.robot_file import (
+    DEFAULT_ROBOT,
+    MAX_BODIES,
+    check_robot,
+    load_robot,
+    part_names,
+    robot_file,
 )
 from r2h_batch.scene.robot_visuals import ARM_LINKS, visual_triangles
 

@@ -11,14 +11,8 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.config import Workplace
 from r2h_batch.data.robot_chain import Chain
 from r2h_batch.data.robot_pairs import Touching
-from r2h_batch.scene.robot import (
-    DEFAULT_ROBOT,
-    Robot,
-    ee_pose,
-    forward_kinematics,
-    frozen,
-    load_robot,
-)
+from r2h_batch.scene.robot import Robot, ee_pose, forward_kinematics, frozen
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 
 Array = NDArray[np.float64]
 

@@ -20,7 +20,8 @@ from r2h_batch.judge import ik_any
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.robot.fk import UrParameters, vec6d
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot, ur_lengths
+from r2h_batch.scene.robot import Robot, ur_lengths
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 
 ROTATION_LEVER_M = 0.1
 """How many metres a radian counts in the residual of an unreachable target [choice]: about the

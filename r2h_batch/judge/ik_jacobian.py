@@ -25,7 +25,8 @@ from r2h_batch.judge import ik_any
 from r2h_batch.kernels.ik import any_arm
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.kernels.plan.codes import BRANCHES
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, load_robot
+from r2h_batch.scene.robot import Robot, ee_pose
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 
 ITERATIONS = 20
 """Damped least squares steps per seed."""

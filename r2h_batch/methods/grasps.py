@@ -39,7 +39,8 @@ from r2h_batch.methods.box_grasps import three_boxes
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.grasp_tables import GraspTables, grasp_tables
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.scene.robot import Robot, drive_from_gap, load_robot, pad_center_z
+from r2h_batch.scene.robot import Robot, drive_from_gap, pad_center_z
+from r2h_batch.scene.robot_file import load_robot
 
 OWN_GRIPPER, OWN_ROBOT = "2f-85", "ur5e_2f85"
 """The gripper that stored candidates are for, and a robot that carries it."""

@@ -188,7 +188,7 @@ def prepare(
 
     from r2h_batch.evaluate import Evaluator
     from r2h_batch.scene.objects import object_digest
-    from r2h_batch.scene.robot import load_robot
+    from r2h_batch.scene.robot_file import load_robot
     from r2h_batch.trials.benchmark import trials_digest
 
     config, loop = benchmark.config(sweep.configuration), sweep.loop

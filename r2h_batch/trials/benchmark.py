@@ -36,7 +36,8 @@ from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, load_robot
+from r2h_batch.scene.robot import Robot
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.certified import Answers, Certified
 from r2h_batch.trials.draw.rule import Given, Rule
 from r2h_batch.trials.trials_file import Labels, listed_with_ids

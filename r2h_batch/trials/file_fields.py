@@ -23,7 +23,7 @@ from r2h_batch.scene.objects import (
     OBJECT_NAMES,
     ObjectModel,
 )
-from r2h_batch.scene.robot import DEFAULT_ROBOT
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, VERB_WORDS
 
 BUILT_IN = "built-in"

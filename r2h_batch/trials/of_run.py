@@ -13,7 +13,7 @@ from r2h_batch.base.registry import LISTED
 from r2h_batch.data.people import WORDS
 from r2h_batch.runs.before import tell_moved
 from r2h_batch.scene.objects import object_digest
-from r2h_batch.scene.robot import ROBOTS
+from r2h_batch.scene.robot_file import ROBOTS
 from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.choice import BenchmarkChoice, words_of
 from r2h_batch.trials.edit import edited

@@ -44,7 +44,8 @@ from r2h_batch.scene.objects import (
     is_built,
     load_objects,
 )
-from r2h_batch.scene.robot import ROBOTS, Robot, load_robot, read_robot
+from r2h_batch.scene.robot import Robot
+from r2h_batch.scene.robot_file import ROBOTS, load_robot, read_robot
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
 from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.file_fields import (

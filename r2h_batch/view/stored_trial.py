@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from r2h_batch.config import Workplace
-from r2h_batch.scene.robot import Robot, load_robot
+from r2h_batch.scene.robot import Robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.view.postures import Postures
 
 Array = NDArray[np.float64]

@@ -19,7 +19,7 @@ from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.launching import SMALL_ROWS
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import Scores
 
 N = 260

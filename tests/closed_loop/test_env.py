@@ -29,7 +29,8 @@ from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
 from r2h_batch.scene.hand import make_hand_set
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.verdicts import CRITERIA

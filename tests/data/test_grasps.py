@@ -16,7 +16,7 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import seat_grasps
 from r2h_batch.scene.grasp_set import GraspSet, read_grasps
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.edit import edited
 

@@ -22,7 +22,8 @@ from r2h_batch.judge.grasp import region_distance
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import object_digest
-from r2h_batch.scene.robot import Primitives, ShapeKind, load_robot, slide_table, table_linkage
+from r2h_batch.scene.robot import Primitives, ShapeKind, slide_table, table_linkage
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.trials.yaml_file import read_benchmark
 from r2h_batch.types import Outcome
 from r2h_batch.verdicts import CRITERIA

@@ -15,7 +15,8 @@ from r2h_batch.data.robot import import_robot
 from r2h_batch.data.robot_chain import read_chain
 from r2h_batch.data.robot_home import free_home, homes, turn_of, turned, usual_place
 from r2h_batch.data.robot_model import read_model
-from r2h_batch.scene.robot import DEFAULT_ROBOT, ee_pose, forward_kinematics, frozen, load_robot
+from r2h_batch.scene.robot import ee_pose, forward_kinematics, frozen
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.scene.robot_visuals import arm_urdf
 
 ACROSS = {'<joint name="f" type="fixed"><parent link="l7"/><child link="flange"/><origin xyz="0 0 0.07"/>': (

@@ -17,7 +17,8 @@ from r2h_batch.data import robot_shapes
 from r2h_batch.data.robot import import_robot
 from r2h_batch.data.robot_pairs import touching
 from r2h_batch.data.robot_srdf import read_srdf
-from r2h_batch.scene.robot import ShapeKind, ee_pose, read_robot, robot_arrays, robot_file
+from r2h_batch.scene.robot import ShapeKind, ee_pose
+from r2h_batch.scene.robot_file import read_robot, robot_arrays, robot_file
 
 HAND = ("left_finger", "right_finger")
 READY = (0.0, -0.9, 0.0, 2.3, 0.0, -1.74, 0.0)

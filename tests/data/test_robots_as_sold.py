@@ -20,7 +20,8 @@ from r2h_batch.data.robot_pads import Window
 from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.mesh_import import file as mesh_file
-from r2h_batch.scene.robot import gripper_primitives_at, load_robot, read_robot, write_robot
+from r2h_batch.scene.robot import gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot, read_robot, write_robot
 
 
 def turned(x: float = 0.0, y: float = 0.0, z: float = 0.0, pitch: float = 0.0) -> np.ndarray:

@@ -14,7 +14,8 @@ from r2h_batch.config import EvalConfig, ExecConfig, ExecutionError
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import fc, oracle
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import Predictions
 from r2h_batch.view.stored import judged_again
 

@@ -21,7 +21,8 @@ from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.planner import Planner
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import ee_pose, forward_kinematics, load_robot
+from r2h_batch.scene.robot import ee_pose, forward_kinematics
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import CollidingPair, Outcome, PlanReason, Scores
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)

@@ -9,7 +9,8 @@ from grasp_cases import BAND, material64, model_of, pose_at, random_grasps, shap
 from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses
 from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
-from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 
 
 def test_opening_is_the_largest_gap_that_the_material_fills() -> None:

@@ -24,7 +24,8 @@ from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.grasp_physics import close_in_physics
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.objects import build_object
-from r2h_batch.scene.robot import Robot, drive_from_gap, gap_from_drive, load_robot
+from r2h_batch.scene.robot import Robot, drive_from_gap, gap_from_drive
+from r2h_batch.scene.robot_file import load_robot
 
 X, Y, Z = np.eye(3)
 JAWS, TABLE = with_jaws(load_robot()), with_table(load_robot())

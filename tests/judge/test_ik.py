@@ -10,7 +10,8 @@ from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik, ur_parameters
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 
 PI = np.pi
 HOME = np.array(HOME_Q)

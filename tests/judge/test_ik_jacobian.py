@@ -14,7 +14,8 @@ from r2h_batch.judge import ik as fused
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.kernels.ik import step as ik_step
 from r2h_batch.methods.random import predict
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 
 
 @pytest.fixture(scope="module")

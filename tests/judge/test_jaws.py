@@ -13,7 +13,8 @@ from r2h_batch.judge.grasp import close_gripper, gripper_poses
 from r2h_batch.judge.motion.execute import FINGER_GIVE_M, execute
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.scene.grasp_tables import grasp_tables
-from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 
 LINKAGE = load_robot()
 JAWS, TABLE = with_jaws(LINKAGE), with_table(LINKAGE)

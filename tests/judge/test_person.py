@@ -15,7 +15,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import NearestApproach, nearer_of
 from r2h_batch.methods import fc
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 
 PLAN, SAFE = 1, 4
 FORCED = 40

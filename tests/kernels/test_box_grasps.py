@@ -10,7 +10,7 @@ from r2h_batch import load_benchmark
 from r2h_batch.methods.box_grasps import box_grasps, depth_steps, three_boxes
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP, roles_of
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 NAMES = ("cup", "hammer", "pliers", "eyeglasses", "bottle")

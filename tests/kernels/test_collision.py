@@ -19,13 +19,8 @@ from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import (
-    ShapeKind,
-    forward_kinematics,
-    gripper_primitives_at,
-    lever_bound_for_sphere,
-    load_robot,
-)
+from r2h_batch.scene.robot import ShapeKind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 BAND_M = 1e-4

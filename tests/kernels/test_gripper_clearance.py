@@ -12,7 +12,8 @@ from grasp_cases import BAND, model_of, pose_at, random_grasps, shapes, tables_o
 from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import CUT_CAP_M, close_gripper, open_clearance, region_distance
 from r2h_batch.scene.grasp_tables import grasp_tables
-from r2h_batch.scene.robot import ShapeKind, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import ShapeKind, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 
 
 def _clearance64(triangles: np.ndarray, kind: int, size: np.ndarray, T_ee_prim: np.ndarray, cap: float) -> float:

@@ -11,7 +11,8 @@ from r2h_batch.base.launch import init_warp
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.judge.hand_clearance import gripper_clearance, posed_hand
 from r2h_batch.scene.hand import load_hand, load_hand_set
-from r2h_batch.scene.robot import ShapeKind, load_robot
+from r2h_batch.scene.robot import ShapeKind
+from r2h_batch.scene.robot_file import load_robot
 
 CAP = 0.004
 

@@ -10,7 +10,8 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import solve_ik, ur_parameters
 from r2h_batch.kernels.ik.nearest import nearest_posture
-from r2h_batch.scene.robot import forward_kinematics, load_robot
+from r2h_batch.scene.robot import forward_kinematics
+from r2h_batch.scene.robot_file import load_robot
 
 COUNT = 160
 

@@ -14,7 +14,8 @@ from r2h_batch import load_benchmark
 from r2h_batch.judge.distance import SAFE_TOLERANCE_M
 from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.judge.safe import safe_distance
-from r2h_batch.scene.robot import ee_pose, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import ee_pose, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 CAP_M = 0.05

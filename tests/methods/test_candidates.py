@@ -18,7 +18,7 @@ from r2h_batch.methods.grasps import generate_grasps
 from r2h_batch.scene.arrays import arrays_digest, stored_arrays
 from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 
 OBJECTS = load_objects()
 

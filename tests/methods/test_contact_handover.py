@@ -16,7 +16,7 @@ from r2h_batch.methods import contact
 from r2h_batch.methods.least_cost_pose import approach_fan, collision_cost, gripper_capsule, hand_sample
 from r2h_batch.methods.placing import in_order
 from r2h_batch.methods.predictors import predict_contacts, predict_receiving, predict_target
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 
 
 def near_gripper(i: int) -> NDArray[np.bool_]:

@@ -18,7 +18,8 @@ from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import FRICTION, sample_grasps
 from r2h_batch.scene.arrays import arrays_digest
 from r2h_batch.scene.objects import ObjectModel, load_objects, object_digest, stored_objects
-from r2h_batch.scene.robot import Robot, ShapeKind, drive_from_gap, gripper_primitives_at, load_robot, pad_center_z
+from r2h_batch.scene.robot import Robot, ShapeKind, drive_from_gap, gripper_primitives_at, pad_center_z
+from r2h_batch.scene.robot_file import load_robot
 
 BAND = 1e-4
 ROBOT, PANDA, STEP = load_robot(), load_robot("panda_hand"), 50

@@ -14,7 +14,7 @@ from r2h_batch.config import OPEN_GAP_M
 from r2h_batch.judge.grasp import gripper_poses, open_is_clear, region_distance
 from r2h_batch.scene.grasp_tables import grasp_tables
 from r2h_batch.scene.mesh_import.closed import closed_mesh
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.solid import signed_distance
 
 MUG = trimesh.creation.revolve(

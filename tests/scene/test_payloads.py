@@ -11,7 +11,7 @@ from rounds import each
 
 from r2h_batch.scene.dynamics import MassProperties, Payload, PayloadTables, load, principal, quat_wxyz
 from r2h_batch.scene.model import SceneModel, TrialScenes, build_scene_model
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 
 N = 24
 

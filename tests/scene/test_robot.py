@@ -16,7 +16,8 @@ from rounds import each
 
 from r2h_batch.assets.robot import build_robot
 from r2h_batch.scene import robot as robots
-from r2h_batch.scene.robot import drive_from_gap, forward_kinematics, gap_from_drive, load_robot, pad_center_z
+from r2h_batch.scene.robot import drive_from_gap, forward_kinematics, gap_from_drive, pad_center_z
+from r2h_batch.scene.robot_file import load_robot
 
 MODELS, ROBOT = Path(airo_models.__file__).parent, load_robot()
 Q0 = np.array([-0.3225, -1.7453, 1.4312, -1.2566, -1.5708, 1.2483])

@@ -22,7 +22,8 @@ from r2h_batch.data.robot_model import read_model
 from r2h_batch.data.robot_pairs import touching
 from r2h_batch.data.robot_shapes import CORNERS, Target, fit_hulls
 from r2h_batch.scene import robot as robots
-from r2h_batch.scene.robot import Robot, ee_pose, load_robot, read_robot, robot_arrays, slide_table, write_robot
+from r2h_batch.scene.robot import Robot, ee_pose, slide_table
+from r2h_batch.scene.robot_file import ROBOTS, load_robot, read_robot, robot_arrays, write_robot
 from r2h_batch.scene.robot_visuals import arm_urdf
 
 
@@ -45,7 +46,7 @@ def test_a_robot_written_and_read_is_equal_field_by_field(robot: Robot, tmp_path
     assert read_robot(tmp_path) == again != robot
 
 
-@pytest.mark.parametrize("name", robots.ROBOTS[1:])
+@pytest.mark.parametrize("name", ROBOTS[1:])
 def test_a_built_in_arm_keeps_what_the_import_promises(name: str) -> None:
     robot = load_robot(name)
     report = json.loads((files("r2h_batch.assets") / "robot" / name / "report.json").read_text())

@@ -9,7 +9,8 @@ import pytest
 from rounds import each
 
 from r2h_batch.data import robot_pairs as self_pairs
-from r2h_batch.scene.robot import Primitives, Robot, ShapeKind, load_robot
+from r2h_batch.scene.robot import Primitives, Robot, ShapeKind
+from r2h_batch.scene.robot_file import load_robot
 
 P = np.pi
 

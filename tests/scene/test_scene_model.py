@@ -21,7 +21,8 @@ from r2h_batch.judge.motion.simulation import Job
 from r2h_batch.judge.motion.time_law import servo_law
 from r2h_batch.scene.dynamics import Payload
 from r2h_batch.scene.model import SceneModel, TrialScene, TrialScenes, build_scene_model
-from r2h_batch.scene.robot import ee_pose, forward_kinematics, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import ee_pose, forward_kinematics, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
 
 HANDS = (3, 250, 17)

@@ -15,7 +15,7 @@ from r2h_batch.methods import contact, fc, handover_va, intent
 from r2h_batch.methods.candidates import candidate_table
 from r2h_batch.methods.placing import roll_angles
 from r2h_batch.methods.predictors import PredictorNoise, TargetHand
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import Predictions, Trials
 
 N = 8

@@ -3,15 +3,8 @@
 import numpy as np
 
 from r2h_batch.scene.dynamics import GRIPPER_BOX_M, GRIPPER_COM_M, Payload
-from r2h_batch.scene.robot import (
-    ARMATURE,
-    LINK_COM_M,
-    LINK_INERTIA,
-    LINK_MASS_KG,
-    LINK_ROLL,
-    forward_kinematics,
-    load_robot,
-)
+from r2h_batch.scene.robot import forward_kinematics
+from r2h_batch.scene.robot_file import ARMATURE, LINK_COM_M, LINK_INERTIA, LINK_MASS_KG, LINK_ROLL, load_robot
 
 ROBOT = load_robot()
 

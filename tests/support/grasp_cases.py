@@ -10,7 +10,8 @@ import torch
 import trimesh
 
 from r2h_batch.scene.grasp_tables import grasp_tables
-from r2h_batch.scene.robot import Robot, drive_from_gap, load_robot, pad_center_z
+from r2h_batch.scene.robot import Robot, drive_from_gap, pad_center_z
+from r2h_batch.scene.robot_file import load_robot
 
 
 @dataclass(eq=False)

@@ -44,7 +44,7 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.scene.grasp_set import read_grasps
 from r2h_batch.scene.hand_file import read_hand, read_hand_set
 from r2h_batch.scene.mesh_import.file import load_mesh_file
-from r2h_batch.scene.robot import read_robot
+from r2h_batch.scene.robot_file import read_robot
 from r2h_batch.sweep.options import load_config
 from r2h_batch.sweep.study.report import read_ratings
 from r2h_batch.trials.load import load_benchmark

@@ -20,7 +20,8 @@ from scipy.spatial.transform import Rotation
 
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge.ik import ur_parameters
-from r2h_batch.scene.robot import Robot, ShapeKind, ee_pose, gripper_primitives_at, load_robot
+from r2h_batch.scene.robot import Robot, ShapeKind, ee_pose, gripper_primitives_at
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import BodyPoses, Scene
 
 Array = NDArray[np.float64]

@@ -12,13 +12,12 @@ from r2h_batch.scene.robot import (
     finger_motion,
     frozen,
     hull_size,
-    load_robot,
     pad_center_z,
-    part_names,
     slide_table,
     table_linkage,
     table_motions,
 )
+from r2h_batch.scene.robot_file import load_robot, part_names
 
 AXIS = np.array([[0.0, 0.0, -1.0, 0.0], [0.0, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 """Takes z to the forearm's axis, -x of its link."""

@@ -20,7 +20,7 @@ from torch.utils.data import DataLoader
 from r2h_batch import load_benchmark
 from r2h_batch.scene.families.kept import was_drawn
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.training import stream
 from r2h_batch.training.drawing import Drawing
 from r2h_batch.training.rank import CHECKPOINT, Recipe, Training, train_ranker

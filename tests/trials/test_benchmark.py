@@ -15,7 +15,8 @@ from r2h_batch.config import Thresholds
 from r2h_batch.methods.part_roles import GRASP, WRAP, roles_of
 from r2h_batch.scene.hand import palm_frame
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.trials.file_fields import read_benchmark_file, text_of
 from r2h_batch.trials.holding.instructions import intents_of, understand
 from r2h_batch.trials.yaml_file import read_benchmark

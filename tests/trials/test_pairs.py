@@ -15,7 +15,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.config import EvalConfig, Thresholds
 from r2h_batch.data.people import built_in_people, people_hand_set
 from r2h_batch.scene.objects import load_objects, object_digest
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.trials.choice import BenchmarkChoice

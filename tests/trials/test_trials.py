@@ -16,7 +16,8 @@ from r2h_batch.config import HOME_Q, EvalConfig, PlanConfig, Workplace
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import build_object, load_objects
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.types import PlanReason, Trials
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from r2h_batch.base import rng, se3
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import ObjectModel
-from r2h_batch.scene.robot import DEFAULT_ROBOT, load_robot
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.draw.receivers import sine_cosine
 from r2h_batch.trials.draw.rule import POSE, Batch, Placed
 

@@ -12,7 +12,8 @@ from r2h_batch.base import se3
 from r2h_batch.config import Workplace
 from r2h_batch.scene.bounds import capsule_of_shape
 from r2h_batch.scene.hand import HandSet, palm_frame
-from r2h_batch.scene.robot import DEFAULT_ROBOT, Robot, ee_pose, forward_kinematics, load_robot
+from r2h_batch.scene.robot import Robot, ee_pose, forward_kinematics
+from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.draw import receivers
 from r2h_batch.trials.draw.distance import from_box, from_segment, from_segments
 

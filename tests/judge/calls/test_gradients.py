@@ -16,7 +16,7 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base import se3, twist
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods import random
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import Outcome, PlanReason
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)

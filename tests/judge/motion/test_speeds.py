@@ -10,7 +10,8 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge.motion.time_law import path_time, time_at, time_path
 from r2h_batch.methods.oracle import predict
-from r2h_batch.scene.robot import ROBOTS, Robot, load_robot
+from r2h_batch.scene.robot import Robot
+from r2h_batch.scene.robot_file import ROBOTS, load_robot
 
 PANDA = load_robot("panda_hand")
 LAW = ExecConfig(sim="none", max_velocity_rad_s=float(PANDA.max_velocity.min()))

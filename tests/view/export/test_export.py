@@ -14,7 +14,7 @@ import trimesh
 from rounds import each
 
 from r2h_batch.config import HOME_Q
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.view import mjcf as export
 from r2h_batch.view.stored import Reader
 

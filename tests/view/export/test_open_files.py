@@ -10,7 +10,8 @@ from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.scene.hand import load_hand_set
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import ee_pose, load_robot
+from r2h_batch.scene.robot import ee_pose
+from r2h_batch.scene.robot_file import load_robot
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.commands.real import ids_of
-from r2h_batch.scene.robot import load_robot
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.view.lab.frames import pendant
 from r2h_batch.view.lab.paths import path_of, postures, ros2_of, tcp_of, urscript_of
 from r2h_batch.view.lab.sheets import RULER_M, Drawn, _marks, grasp_sheet, hand_sheet, write_sheet
