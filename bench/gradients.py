@@ -3,7 +3,7 @@
 python bench/gradients.py [--trials N] [--json FILE]
 
 cost: median seconds of a pose call with its backward pass, less those of the call alone, by turns, for each candidate; random
-candidates of r2h-v1. page: the first block of
+candidates of the default benchmark. page: the first block of
 docs/gradients.md, as printed. refine: examples/refine_poses.py on N trials of each split.
 """
 
@@ -41,7 +41,7 @@ SIZES = {1: 200, 2048: 7}
 
 def cost(report: Report) -> None:
     """Calls with and without the backward pass, by turns."""
-    benchmark = load_benchmark("r2h-v1")
+    benchmark = load_benchmark()
     evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
     trials = benchmark.trials(max(SIZES) // 2)
     start = random.predict(trials, evaluator.scene, seed=0)

@@ -60,8 +60,9 @@ def main(argv: list[str] | None = None) -> tuple[float, float]:
     parser.add_argument("--rate-m", type=float, default=0.004)
     parser.add_argument("--log", choices=LOGGERS, help="write outcomes and margins of each step to runs/refine")
     args = parser.parse_args(argv)
-    trials = load_benchmark("r2h-v1").trials(args.trials, splits=["S0", "S1"])
-    evaluator = Evaluator(load_benchmark("r2h-v1"))
+    benchmark = load_benchmark()
+    trials = benchmark.trials(args.trials, splits=["S0", "S1"])
+    evaluator = Evaluator(benchmark)
     start: Predictions = predict(trials, evaluator.scene)
     before = evaluator.score(start.T_obj_ee, start.T_world_ee, trials)
     rows = ~before.success

@@ -6,8 +6,9 @@ from r2h_batch import Evaluator, load_benchmark, reward
 from r2h_batch.methods.random import predict
 
 N, K = 64, 16
-evaluator = Evaluator(load_benchmark("r2h-v1"), device="cpu")  # or "cuda"
-trials = load_benchmark("r2h-v1").trials(N // 2, splits=["S0", "S1"])
+benchmark = load_benchmark()
+evaluator = Evaluator(benchmark, device="cpu")  # or "cuda"
+trials = benchmark.trials(N // 2, splits=["S0", "S1"])
 proposals = [predict(trials, evaluator.scene, seed=k) for k in range(K)]  # your generator stands here
 T_obj_ee = proposals[0].T_obj_ee.new_empty(N, K, 4, 4)
 T_world_ee = T_obj_ee.clone()
