@@ -392,7 +392,7 @@ def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
         with one_line("a mesh's file is called '" + name[:40] + "'; give a name of 1 to 1000 characters"):
             made(write_urdf(tmp_path, **{'"parts/block.stl"': f'"{name}"'}))
     far = read_chain(
-        read_model(write_urdf(tmp_path, **{'lower="-1.8" upper="1.8"': 'lower="-90" upper="1"'})), "base", "flange"
+        read_model(write_urdf(tmp_path, **{'lower="-1.8" upper="1.8"': 'lower="-9" upper="1"'})), "base", "flange"
     )
     assert far.lower.min() == -2 * np.pi and far.upper.max() < 2 * np.pi
     with one_line("link l4 is not a body: mass 0 kg"):
