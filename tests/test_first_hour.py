@@ -22,7 +22,6 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.tables import read_csv_arrays
 from r2h_batch.methods.candidates import CandidateTable
-from r2h_batch.protocols.load import load_benchmark
 from r2h_batch.report.table import brief, table_of
 from r2h_batch.runs.store import join, load_run
 from r2h_batch.scene.mesh_import.closed import closed_mesh
@@ -30,6 +29,7 @@ from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.scene.scene import Scene
 from r2h_batch.sweep.command import stop_signals
+from r2h_batch.trials.load import load_benchmark
 from r2h_batch.types import Outcome
 
 NO_LIBRARY = """
