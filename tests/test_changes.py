@@ -1,4 +1,4 @@
-"""The table "Where do I change" of CONTRIBUTING, done in copies of the tree: a criterion in files of ours, and all
+"""The table "I want to" of CONTRIBUTING, done in copies of the tree: a criterion in files of ours, and all
 that a package of a stranger adds. Shipped rows are read as before, and runs are compared with them."""
 
 import json
