@@ -13,9 +13,9 @@ import textwrap
 import typing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, fields, make_dataclass
+from dataclasses import asdict, dataclass, field, fields, make_dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, NamedTuple, get_args, get_origin
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple, get_args, get_origin
 
 from r2h_batch.base import command_line
 from r2h_batch.base.errors import FileError, UsageError, nearest
@@ -31,6 +31,9 @@ from r2h_batch.base.registry import (
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
 from r2h_batch.plugins import PluginError
+
+if TYPE_CHECKING:
+    from r2h_batch.config import EvalConfig
 
 SEEN_BY = {
     name: tuple(m for m in METHOD_NAMES if set(METHODS[m].sees) & set(kinds))
@@ -436,10 +439,27 @@ EXCLUDED = (
 """Options that exclude others, and why."""
 
 
+def configuration(options: Options) -> "EvalConfig":
+    """The preset of a sweep with its settings and errors.
+
+    Raises:
+        UsageError: one line about the first value that cannot be.
+    """
+    from r2h_batch.config import EvalConfig
+    from r2h_batch.sweep.settings import configured, execution_error, object_error_size
+
+    config = configured(EvalConfig.preset(options.preset), options.settings)
+    if options.execution_error:
+        config = replace(config, execution_error=execution_error(options.execution_error))
+    if options.object_errors:
+        m, deg = object_error_size(options.object_errors)
+        told = replace(config.object_errors, translation_m=m, rotation_deg=deg)
+        config = replace(config, object_errors=told)
+    return config
+
+
 def check(options: Options) -> Options:
     """The options, or a `UsageError` about the first that cannot be."""
-    from r2h_batch.sweep.settings import configuration
-
     if not (options.method or options.predictions or options.motions or options.trials_from):
         flags = "--predictions FILE, --motions FILE or --trials-from FILE"
         raise UsageError(f"nothing to score: give --method {' '.join(METHOD_NAMES)}, {flags}")

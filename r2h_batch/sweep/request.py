@@ -10,8 +10,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.runs import provenance
-from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, spelled_out
-from r2h_batch.sweep.settings import configuration
+from r2h_batch.sweep.options import KINDS, SEEN_BY, Options, configuration, spelled_out
 from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.verdicts import SPLITS
 

@@ -5,13 +5,10 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import is_dataclass, replace
 from functools import cache, reduce
-from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from r2h_batch.base.errors import UsageError, nearest
 from r2h_batch.config import MADE_BY, OBJECT_ERRORS, EvalConfig, ExecutionError, ObjectErrors
-
-if TYPE_CHECKING:
-    from r2h_batch.sweep.options import Options
 
 ELSEWHERE = {
     "thresholds": "the benchmark has them; write thresholds into a benchmark.yaml",
@@ -121,22 +118,6 @@ def configured(config: EvalConfig, given: Mapping[str, Any]) -> EvalConfig:
         except (TypeError, ValueError) as error:
             why = re.sub(r"^\w+\.\w+", "", str(error))
             raise UsageError(f"{flag_of(name)}{why}") from None
-    return config
-
-
-def configuration(options: "Options") -> EvalConfig:
-    """The preset of a sweep with its settings and errors.
-
-    Raises:
-        UsageError: one line about the first value that cannot be.
-    """
-    config = configured(EvalConfig.preset(options.preset), options.settings)
-    if options.execution_error:
-        config = replace(config, execution_error=execution_error(options.execution_error))
-    if options.object_errors:
-        m, deg = object_error_size(options.object_errors)
-        told = replace(config.object_errors, translation_m=m, rotation_deg=deg)
-        config = replace(config, object_errors=told)
     return config
 
 
