@@ -22,7 +22,7 @@ import pyarrow as pa
 from _report import ROOT, Report
 from run import Bench
 
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.writing import SHARD_TRIALS
 from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
@@ -96,7 +96,7 @@ def header(trials: int) -> dict:
     """run.json of the synthetic run."""
     n_s0 = trials // 2
     return {
-        "protocol": DEFAULT_PROTOCOL,
+        "protocol": DEFAULT_BENCHMARK,
         "trials": {"S0": n_s0, "S1": trials - n_s0},
         "objects": [{"name": n, "split": SPLITS[i >= 6], "built_in": False} for i, n in enumerate(OBJECTS)],
         "configuration": {"name": "default"},

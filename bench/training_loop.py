@@ -25,7 +25,7 @@ from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import launch
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOL_NAMES, RELEASE
+from r2h_batch.base.registry import BENCHMARK_NAMES, DEFAULT_BENCHMARK, RELEASE
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
@@ -121,8 +121,8 @@ def sizes(
 
 def every_benchmark(report: Report, clock: Clock, device: str, threads: int | None) -> None:
     """Random poses of each built-in benchmark, the default first."""
-    others = (name for name in PROTOCOL_NAMES if name not in (DEFAULT_PROTOCOL, RELEASE))
-    for name in (DEFAULT_PROTOCOL, *others):
+    others = (name for name in BENCHMARK_NAMES if name not in (DEFAULT_BENCHMARK, RELEASE))
+    for name in (DEFAULT_BENCHMARK, *others):
         benchmark = load_benchmark(name)
         evaluator = Evaluator(benchmark, KINEMATIC, device=device, threads=threads)
         trials = benchmark.trials(512)

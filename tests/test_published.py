@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.judge import Judge
@@ -64,10 +64,10 @@ def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(ta
     made = made_from()
     assert made["golden"] == tables.golden_digest(), "verdicts moved: run `make tables` on a clean commit"
     headers = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED]
-    default = [h for h in headers if h["protocol"] == DEFAULT_PROTOCOL]  # swept when it was frozen
+    default = [h for h in headers if h["protocol"] == DEFAULT_BENCHMARK]  # swept when it was frozen
     later = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED if p.methods == tables.LEARNED]
     first = [h for h in default if h not in later]
-    others = [h for h in headers if h["protocol"] != DEFAULT_PROTOCOL]
+    others = [h for h in headers if h["protocol"] != DEFAULT_BENCHMARK]
     choices, sensitivity = (
         json.loads((RESULTS / f"{n}.json").read_text()) for n in ("table1-v1-choices", "sensitivity")
     )

@@ -1,4 +1,4 @@
-"""Names that a command line takes: protocols, presets, engines, methods and questions about stored rows, each an entry here
+"""Names that a command line takes: benchmarks, presets, engines, methods and questions about stored rows, each an entry here
 and a function in its folder. Light.
 
 Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.POLICIES`, families of
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 from r2h_batch.plugins import Registry
 
 
-class Protocol(NamedTuple):
+class NamedBenchmark(NamedTuple):
     """A named benchmark. `trials/NAME.py` (- as _) has the function that makes it, of the same name."""
 
     name: str
@@ -20,31 +20,31 @@ class Protocol(NamedTuple):
 
 
 RELEASE = "r2h-release"
-PROTOCOLS = (
-    Protocol("r2h-v0", "hands alone", "hands alone, any roll about the palm's normal"),
-    Protocol(
+BENCHMARKS = (
+    NamedBenchmark("r2h-v0", "hands alone", "hands alone, any roll about the palm's normal"),
+    NamedBenchmark(
         "r2h-v1",
         "hands of people who reach",
         "hands on the arms of people who stand and reach",
     ),
-    Protocol(
+    NamedBenchmark(
         "r2h-v2",
         "96 objects of 16 families, people of every size",
         "as r2h-v1, with six instances of each of 16 object families, and 2,000 people from 6 to 90 years",
     ),
-    Protocol(
+    NamedBenchmark(
         "r2h-v3-draft",
         "as r2h-v2, from the table; a draft",
         "a draft: as r2h-v2, and the arm has to pick the object from the table first",
     ),
-    Protocol(
+    NamedBenchmark(
         RELEASE,
         "palms, objects and table of the authors' release",
         "palms, objects, table and home of the authors' release",
     ),
 )
-DEFAULT_PROTOCOL = "r2h-v2"
-PROTOCOL_NAMES = tuple(entry.name for entry in PROTOCOLS)
+DEFAULT_BENCHMARK = "r2h-v2"
+BENCHMARK_NAMES = tuple(entry.name for entry in BENCHMARKS)
 LISTED, FOREIGN = "listed", "r2handoversim"
 """In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
 
@@ -53,7 +53,7 @@ def is_drawn(header: Mapping[str, Any]) -> bool:
     """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
     told = {"objects", "hand_set"} <= header["digests"].keys() or header[
         "protocol"
-    ] in PROTOCOL_NAMES
+    ] in BENCHMARK_NAMES
     return told and header["protocol"] not in (LISTED, FOREIGN)
 
 

@@ -112,12 +112,12 @@ def _robots() -> Iterator[Line]:
 
 
 def _benchmarks() -> Iterator[Line]:
-    from r2h_batch.base.registry import DEFAULT_PROTOCOL, PROTOCOLS
+    from r2h_batch.base.registry import BENCHMARKS, DEFAULT_BENCHMARK
     from r2h_batch.trials.registry import BENCHMARK
 
-    about = {entry.name: entry.about for entry in PROTOCOLS}
+    about = {entry.name: entry.about for entry in BENCHMARKS}
     for name in BENCHMARK:
-        default = "default" if name == DEFAULT_PROTOCOL else ""
+        default = "default" if name == DEFAULT_BENCHMARK else ""
         yield name, about.get(name, "of another package"), default
 
 
@@ -141,10 +141,10 @@ def _yaml() -> int:
 
 def _benchmark(name: str) -> int:
     """Reads a benchmark and all files that it names, and says what it holds."""
-    from r2h_batch.base.registry import DEFAULT_PROTOCOL
+    from r2h_batch.base.registry import DEFAULT_BENCHMARK
     from r2h_batch.trials.load import load_benchmark
 
-    found = load_benchmark(name or DEFAULT_PROTOCOL)
+    found = load_benchmark(name or DEFAULT_BENCHMARK)
     same = " (the default benchmark)" if found.digest == load_benchmark().digest else ""
     print(f"{name or found.name}: protocol {found.protocol}, digest {found.digest}{same}")
     for split in ("S0", "S1"):

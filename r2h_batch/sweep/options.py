@@ -21,11 +21,11 @@ from r2h_batch.base import command_line
 from r2h_batch.base.errors import FileError, UsageError, nearest
 from r2h_batch.base.gone import gone
 from r2h_batch.base.registry import (
-    DEFAULT_PROTOCOL,
+    BENCHMARKS,
+    DEFAULT_BENCHMARK,
     METHOD_NAMES,
     METHODS,
     PRESETS,
-    PROTOCOLS,
     PresetName,
 )
 from r2h_batch.base.user_code import HOW
@@ -76,8 +76,8 @@ SETTINGS_GROUP = ("configuration", "criteria, planning, motion, errors")
 
 
 _BENCHMARK_HELP = "; ".join(
-    f"{p.name}{' (default)' if p.name == DEFAULT_PROTOCOL else ''}: {p.help}"
-    for p in sorted(PROTOCOLS, key=lambda p: p.name != DEFAULT_PROTOCOL)
+    f"{p.name}{' (default)' if p.name == DEFAULT_BENCHMARK else ''}: {p.help}"
+    for p in sorted(BENCHMARKS, key=lambda p: p.name != DEFAULT_BENCHMARK)
 )
 _PRESET_HELP = "; ".join(f"{p.name}: {p.help}" for p in PRESETS)
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import path_within, printable
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.validate import parse_number
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.people import people_hand, people_hand_set
@@ -57,7 +57,7 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
     Raises:
         ValueError: one line, mostly a `FileError`.
     """
-    base = load_benchmark(choice.benchmark or DEFAULT_PROTOCOL, pieces=pieces)
+    base = load_benchmark(choice.benchmark or DEFAULT_BENCHMARK, pieces=pieces)
     if choice.until:
         base = base.until(choice.until)
     objects = _objects_of(choice.objects, pieces) if choice.objects else base.objects

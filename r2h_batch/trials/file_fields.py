@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 
 from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable, read_yaml
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.schedule import SEED
 from r2h_batch.base.validate import rule_of
 from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
@@ -154,7 +154,7 @@ class BenchmarkFile(_Entry):
 
     format: Literal[1] = 1
     protocol: Name = Field(
-        default=DEFAULT_PROTOCOL,
+        default=DEFAULT_BENCHMARK,
         description="the benchmark that this file changes, whose rule draws the trials: a name of r2h-batch ls benchmarks",
     )
     receiver: Literal["hand", "body"] | None = Field(

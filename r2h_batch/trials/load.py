@@ -5,7 +5,7 @@ from pathlib import Path
 from r2h_batch.base.errors import FileError, UserError, nearest
 from r2h_batch.base.io.progress import busy
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.user_code import HOW, load_function, raised
 from r2h_batch.base.validate import instance_of
 from r2h_batch.trials.benchmark import Benchmark
@@ -14,7 +14,7 @@ from r2h_batch.trials.yaml_file import read_benchmark
 
 
 @busy("loading a benchmark")
-def load_benchmark(benchmark: str | Path = DEFAULT_PROTOCOL, *, pieces: bool = False) -> Benchmark:
+def load_benchmark(benchmark: str | Path = DEFAULT_BENCHMARK, *, pieces: bool = False) -> Benchmark:
     """A benchmark: one value that holds all that decides a verdict.
 
     Args:

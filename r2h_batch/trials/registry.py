@@ -1,6 +1,6 @@
 """The named benchmarks: ours, one file each, and those of other packages (`r2h_batch.plugins`).
 
-@BENCHMARK("r2h-v9")          # in a file of its own, r2h_v9, with an entry in `PROTOCOLS` of base/registry.py
+@BENCHMARK("r2h-v9")          # in a file of its own, r2h_v9, with an entry in `BENCHMARKS` of base/registry.py
 def r2h_v9() -> Benchmark: ...
 
 [project.entry-points."r2h_batch.plugins"]
@@ -10,14 +10,14 @@ def r2h_v9() -> Benchmark: ...
 from collections.abc import Callable
 from functools import cache
 
-from r2h_batch.base.registry import PROTOCOL_NAMES
+from r2h_batch.base.registry import BENCHMARK_NAMES
 from r2h_batch.plugins import Registry
 from r2h_batch.trials.benchmark import Benchmark
 
 BENCHMARK: Registry[Callable[[], Benchmark]] = Registry(
     "benchmark",
-    modules=[f"r2h_batch.trials.{name.replace('-', '_')}" for name in PROTOCOL_NAMES],
-    names=PROTOCOL_NAMES,
+    modules=[f"r2h_batch.trials.{name.replace('-', '_')}" for name in BENCHMARK_NAMES],
+    names=BENCHMARK_NAMES,
 )
 """Name -> the function without arguments that makes it."""
 

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from r2h_batch.base.io.progress import busy
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, PRESET_NAMES
+from r2h_batch.base.registry import DEFAULT_BENCHMARK, PRESET_NAMES
 from r2h_batch.base.validate import (
     check_keywords,
     describe_value,
@@ -158,7 +158,7 @@ def make_vector(
     optional(instance_of(LoopConfig, "LoopConfig(rate_hz=..., latency_s=...)"))("config", config)
     _check_render_mode(render_mode)
     if not isinstance(benchmark, Benchmark):
-        benchmark = load_benchmark(DEFAULT_PROTOCOL if benchmark is None else benchmark)
+        benchmark = load_benchmark(DEFAULT_BENCHMARK if benchmark is None else benchmark)
     named = {name: more[name] for name in _WAYS if name in more}
     check_in_gripper(benchmark)
     checked_motion(motion, autoreset=autoreset, **named)  # a method answers for seconds

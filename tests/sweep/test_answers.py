@@ -15,7 +15,7 @@ from made_runs import made_trials as planned
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.errors import AnswerError
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.store import load_run
@@ -227,7 +227,7 @@ def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypat
     ],
 )
 def test_rows_that_are_not_the_plans_are_not_written(tmp_path, kind, ids, words):
-    run = open_run(tmp_path / "run", make_header(4, 4, protocol=DEFAULT_PROTOCOL, stored=["details"]))
+    run = open_run(tmp_path / "run", make_header(4, 4, protocol=DEFAULT_BENCHMARK, stored=["details"]))
     run.register("m", {"kind": "test"})
     (shard,) = run.todo("m")
     trials = replace(planned(4, 4), trial_id=load_benchmark("r2h-v1").trials(4, splits=("S0", "S1")).trial_id)

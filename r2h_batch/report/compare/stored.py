@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
+from r2h_batch.base.registry import DEFAULT_BENCHMARK, METHOD_NAMES
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -49,7 +49,7 @@ def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
         FileError: none is stored; the line says the command that makes it.
     """
     if header is None:
-        return baselines_of(None, DEFAULT_PROTOCOL)
+        return baselines_of(None, DEFAULT_BENCHMARK)
     likeness = {folder: _likeness(header, own) for folder, own in _headers().items()}
     suited = [folder for folder, (benchmark, preset, _) in likeness.items() if benchmark and preset]
     if not suited:

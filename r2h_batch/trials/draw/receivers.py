@@ -1,4 +1,4 @@
-"""Receivers of protocol r2h-v1: people with arm and torso, whose hand stands where an arm that reaches for
+"""Receivers of r2h-v1: people with arm and torso, whose hand stands where an arm that reaches for
 something brings it.
 
 A trial has its person: sex, standing or seated, lengths. A proposal is a place beyond the table's

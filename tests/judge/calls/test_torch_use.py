@@ -7,7 +7,7 @@ import torch
 from problems import assert_same, default_evaluator, make_batch
 
 from r2h_batch import load_benchmark, reward
-from r2h_batch.base.registry import DEFAULT_PROTOCOL
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.calls import torch_op
@@ -102,7 +102,7 @@ def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
         evaluator.capture(0)
 
 
-@pytest.fixture(scope="module", params=[DEFAULT_PROTOCOL, "r2h-v3-draft"])
+@pytest.fixture(scope="module", params=[DEFAULT_BENCHMARK, "r2h-v3-draft"])
 def before_people(request):
     """Poses on benchmarks whose receivers have arm and torso; the draft also asks for Pick and Received."""
     benchmark = load_benchmark(request.param)

@@ -13,7 +13,7 @@ from made_runs import made_trials, make_header, make_scores
 from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.registry import DEFAULT_PROTOCOL, METHOD_NAMES
+from r2h_batch.base.registry import DEFAULT_BENCHMARK, METHOD_NAMES
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_baselines, load_rows, stored_rows
 from r2h_batch.report.statistics.common import common_trials
@@ -32,7 +32,7 @@ def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     assert baselines_for(run.header) == folder
     # trained for the default benchmark; its rows stand beside the others'. The robust search is a bound
     # for methods that see errors; these rows have none
-    later = {"learned"} if run.header["protocol"] == DEFAULT_PROTOCOL else set()
+    later = {"learned"} if run.header["protocol"] == DEFAULT_BENCHMARK else set()
     assert functions(load_rows(folder)) == functions(run) | {named(m) for m in later}
 
 
@@ -194,7 +194,7 @@ def write_protocol_run(folder, n, method, header, s1=None):
 
 
 def test_runs_of_different_size_are_compared_on_the_trials_that_both_hold(tmp_path):
-    same = {"protocol": DEFAULT_PROTOCOL, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
+    same = {"protocol": DEFAULT_BENCHMARK, "digests": {"trials": "t", "objects": "o", "hand_set": "h"}}
     objects = [{"name": n, "split": s, "built_in": True} for s, n in (("S0", "bowl"), ("S1", "knife"))]
     runs = [write_protocol_run(tmp_path / str(n), n, m, {**same, "objects": objects}) for m, n in (("a", 9), ("b", 5))]
     common = common_trials(runs)
