@@ -187,7 +187,7 @@ def listing(measured: Mapping[str, Measured]) -> str:
         if missing := one.lacks():
             state = f"without {', '.join(missing)}: measure again"
         elif one.name in EARLIER:
-            state = "rates of earlier code: docs/results/sources.md"
+            state = "of earlier code: docs/results/sources.md"
         elif why := one.outdated():
             state = f"out of date: {why}"
         elif files := one.changed():

@@ -26,6 +26,9 @@ from r2h_batch.base.io.write import packed_json
 
 MOST_CLAIM_BYTES = 1000
 
+_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EMLINK, errno.ENOSYS, errno.EXDEV)
+"""What file systems without hard links answer."""
+
 REMAINS_S = 3600.0
 """A temporary file that nobody has written to for so long has lost its writer."""
 
@@ -60,7 +63,7 @@ def link_once(temporary: Path, final: Path) -> bool:
     except FileExistsError:
         return False
     except OSError as error:
-        if error.errno in (errno.EPERM, errno.ENOTSUP, errno.EMLINK):
+        if error.errno in _NO_LINKS:
             words = "this file system has no hard links; put the run folder on one that has"
             raise OSError(error.errno, words, str(final)) from error
         raise
