@@ -44,6 +44,11 @@ class Sb3VecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
+        """Keeps the actions for `step_wait`.
+
+        Args:
+            actions: (B, A) of the environment's action space.
+        """
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, np.ndarray, np.ndarray, list[dict[str, Any]]]:
@@ -61,14 +66,35 @@ class Sb3VecEnv(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """The environment's attribute, once for each row.
+
+        Args:
+            attr_name: its name.
+            indices: rows; None: all.
+        """
         return [getattr(self.envs, attr_name)] * len(self._rows(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Refuses: rows have no attributes of their own.
+
+        Args:
+            attr_name: of the attribute.
+            value: what it should be.
+            indices: of which rows.
+        """
         raise AttributeError(f"{attr_name} cannot be set: all rows are one environment")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any
     ) -> list[Any]:
+        """Refuses: rows have no methods of their own.
+
+        Args:
+            method_name: of the method.
+            method_args: its arguments.
+            indices: of which rows.
+            method_kwargs: its arguments by name.
+        """
         raise AttributeError(
             f"{method_name} cannot be called for a row: all rows are one environment"
         )
@@ -76,6 +102,12 @@ class Sb3VecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type[Wrapper[Any, Any, Any, Any]], indices: Any = None
     ) -> list[bool]:
+        """No row is wrapped by itself.
+
+        Args:
+            wrapper_class: of the wrapper.
+            indices: rows; None: all.
+        """
         return [False] * len(self._rows(indices))
 
     def _rows(self, indices: int | Iterable[int] | None) -> Sequence[int]:

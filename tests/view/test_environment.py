@@ -82,7 +82,7 @@ def test_an_episode_that_begins_on_the_table_has_no_name_until_r2h_v3_is_whole(m
 def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
     env = gymnasium.make(ID, render_mode="rgb_array", **SMALL)
     check_env(env.unwrapped)
-    for wrong, error in (({"seed": -1}, "seed is -1"), ({"options": {"trial": 3}}, "of one handover has none")):
+    for wrong, error in (({"seed": -1}, "seed is -1"), ({"options": {"trial": 3}}, "allowed are 'reset_mask' and")):
         with pytest.raises(ValueError, match=error):
             env.unwrapped.reset(**wrong)
     env.reset(seed=0, options={})
