@@ -33,7 +33,7 @@ EARLIER = frozenset(
     {
         *("closed_loop", "families", "judge_again", "learn", "people", "robots", "robustness"),
         *("sees", "whole"),
-        *("gates", "gradients", "growth", "long", "meshes", "networks", "object_errors"),
+        *("gates", "growth", "long", "meshes", "networks", "object_errors"),
         *("observe", "observe_export", "pick", "registry_arms"),
     }
 )

@@ -14,13 +14,13 @@ On CUDA there is one kind of time: wall, synchronised.
 import argparse
 import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import torch
 from _mix import Poses, load_mix, on, repeated
-from _report import Report
+from _report import Report, markdown_table
 from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
@@ -168,6 +168,19 @@ BENCH = Bench(
         "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
     },
 )
+
+
+def shown(data: Mapping[str, Any]) -> dict[str, str]:
+    """The table of benchmarks on the page."""
+    names = dict.fromkeys((DEFAULT_BENCHMARK, *BENCHMARK_NAMES))
+    values, sizes = data["values"], (1, 64, 4096)
+    rows = [
+        [name, *(f"{values[f'training_loop.random.{name}.b{b}.core_us_per_candidate']:,.0f}" for b in sizes)]
+        for name in names
+        if f"training_loop.random.{name}.b1.core_us_per_candidate" in values
+    ]
+    return {"benchmarks": markdown_table(["benchmark", *(f"B = {b:,}" for b in sizes)], rows)}
+
 
 if __name__ == "__main__":
     BENCH.main()

@@ -27,7 +27,7 @@ APART = {
     "observe_export",
     "sees",
 }
-APART |= {"meshes", "pick", "whole", "growth"}
+APART |= {"meshes", "pick", "whole", "growth", "gradients", "training_loop"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
