@@ -3,6 +3,7 @@
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.utils.env_checker import check_env
 
 from r2h_batch.closed_loop.env import LoopConfig
@@ -120,6 +121,10 @@ def test_a_trial_that_is_asked_for_is_played_and_the_next_comes_as_it_would_have
     assert ids(info) == [pool[0]] and ids(env.reset()[1]) == [pool[3 % len(pool)]]
     again, info = env.reset(options={"trial_id": pool[0]})
     assert ids(info) == [pool[0]] and all(np.array_equal(seen[k], again[k]) for k in seen)
+    for _ in range(len(pool)):
+        env.reset()
+    again, info = env.reset(options={"trial_id": pool[0]})  # also after a whole round
+    assert ids(info) == [pool[0]] and all(np.array_equal(seen[k], again[k]) for k in seen)
     envs = vector(3)
     envs.reset(seed=0)
     mask = np.array([False, True, False])
@@ -135,6 +140,15 @@ def test_a_trial_that_is_asked_for_is_played_and_the_next_comes_as_it_would_have
             envs.reset(options={"trial_id": wrong})
     with pytest.raises(TypeError, match="trial_id is 'cup'"):
         envs.reset(options={"trial_id": "cup"})
+
+
+def test_a_row_that_goes_on_keeps_its_fingers_when_another_begins():
+    envs = vector(3, motion="takes").unwrapped
+    envs.reset(seed=0)
+    bent = envs._distance.own.vertices[:1] + 0.01
+    envs._distance.own.put(torch.tensor([0]), bent)
+    envs.reset(options={"reset_mask": np.array([False, True, False])})
+    assert torch.equal(envs._distance.own.vertices[:1], bent)
 
 
 def test_checkers_say_nothing_and_the_end_says_is_success(recwarn):
