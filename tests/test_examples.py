@@ -106,3 +106,14 @@ def test_ppo_of_stable_baselines_learns_from_handovers(capsys):
     found = ppo_sb3.main(["--steps", "1500", "--envs", "8", "--trials", "6"])
     assert found["episodes"] >= 8 and -1.1 <= found["return"] <= 1
     assert "success" in capsys.readouterr().out
+
+
+def test_a_network_learns_through_the_judge_in_a_compiled_step():
+    found = import_module("compiled_step").main(["--trials", "16", "--steps", "40"])
+    assert found["after"] >= found["before"] + 0.15
+
+
+def test_spawned_workers_bring_items_that_a_network_learns_from(capsys):
+    losses = import_module("spawned_stream").main(["--families", "cup,hammer x 1 seed 5", "--items", "3"])
+    assert len(losses) == 3 and losses[-1] < losses[0]
+    assert "2 spawned workers" in capsys.readouterr().out
