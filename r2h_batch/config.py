@@ -326,7 +326,7 @@ class EvalConfig(_Checked):
         plan: the search for a path.
         execute: time law and simulator.
         workplace: home and table.
-        receiver: what planning and Safe see of the person: the hand, or arm and torso too.
+        receiver: what planning and Safe see of the person: the hand, or arm, torso and head too.
         estimate: the hand that a planner may see.
         execution_error: what a real robot adds to the poses.
         object_errors: how far the object's frame that methods see is from the true one.

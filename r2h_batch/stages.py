@@ -179,7 +179,7 @@ def follow(w: Work) -> None:
 def _from_person(
     w: Work, poses: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
-    """How near the robot comes to arm and torso, and which of its bodies; `rows`: the trials of the paths, or all."""
+    """How near the robot comes to arm, torso and head, and which of its bodies; `rows`: the trials of the paths, or all."""
     assert w.trials.receiver is not None  # the stage has asked
     receiver = w.trials.receiver if rows is None else w.trials.receiver[rows]
     return person_distance(w.scene, poses, receiver, path, length)
@@ -198,7 +198,7 @@ def stand(w: Work) -> None:
 
 
 def count_body(w: Work) -> None:
-    """Arm and torso of the receiver count as the hand does, where the benchmark has `receiver="body"`."""
+    """Arm, torso and head of the receiver count as the hand does, where the benchmark has `receiver="body"`."""
     if w.config.receiver == "body" and w.person is not None:
         w.nearest = nearer_of(w.nearest, *w.person)
 

@@ -153,8 +153,8 @@ class Trials(_Rows):
         object_index: row of `Scene.objects`.
         hand_index: row of the hand set, `Scene.hands`.
         T_world_hand: pose of the hand in the world, m.
-        receiver: the receiver's arm and torso where the protocol gives hands some: rows (x, y, z, w) in the
-            world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
+        receiver: the receiver's arm and torso where the protocol gives hands some (`scene.person.heads_of` follows): rows
+            (x, y, z, w) in the world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
             of the torso box; its half sizes along its facing, sideways and up. In the last two rows
             w is x and y of the unit vector that the torso faces. Verdicts depend on it with
             `EvalConfig.receiver = "body"` alone.
@@ -310,7 +310,7 @@ class Scores(_Rows):
         motion_len: number of rows of `motion` that count.
         failed_state: qpos and qvel of the simulator when it failed; width 0 where none did, NaN in
             the other rows.
-        body_m: distance of the robot to the receiver's arm and torso, m, exact below 5 cm; negative:
+        body_m: distance of the robot to the receiver's arm, torso and head, m, exact below 5 cm; negative:
             a bound of their overlap; NaN without these or a motion. Verdicts depend on it with
             `EvalConfig.receiver = "body"` alone.
     """

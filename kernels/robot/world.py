@@ -51,7 +51,7 @@ class World:
     table_half: wp.vec3
     # hull points of all hands' pieces (hand frame, in blocks) and all objects (object frame)
     points: wp.array(dtype=wp.vec3)
-    # points of the pieces that a batch brings along: arm and torso of its receivers, objects that rest
+    # points of the pieces that a batch brings along: the bodies of its receivers, objects that rest
     own_points: wp.array(dtype=wp.vec3)
     n_pieces: int
     # (H * n_pieces,) first row of each piece's blocks of points (geometry/shape.py, BLOCKS); -1 - row: of `own_points`

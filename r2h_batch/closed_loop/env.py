@@ -45,7 +45,7 @@ from r2h_batch.judge.metrics import reach_distance
 from r2h_batch.judge.motion.execute import nothing_pushes
 from r2h_batch.judge.motion.time_law import limits
 from r2h_batch.judge.reception import reception
-from r2h_batch.scene.person import with_person
+from r2h_batch.scene.person import heads_of, with_person
 from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.trials.holding.held_out import load_held_out
 from r2h_batch.trials.noise import PredictorNoise, perturbed, trial_ids
@@ -170,8 +170,8 @@ class Episodes:
         end: `End`.
         robot_touched: of contacts, True if the robot caused the contact, False if the hand did.
         time_s: end of the episode; of a success the handover time.
-        least_m: least distance of robot and hand at the steps, at most `CAP_M`; with `receiver="body"` of arm and
-            torso too. Until the hand sets out to take the object.
+        least_m: least distance of robot and hand at the steps, at most `CAP_M`; with `receiver="body"` of arm,
+            torso and head too. Until the hand sets out to take the object.
         slack_m: certified: between steps the distance to the hand is at most this much below `least_m`.
         near_speed_m_s: largest speed of the robot, a bound for its fastest point, within `CAP_M` of the hand.
         ssm_s: how long robot and hand were nearer than ISO/TS 15066's protective distance.
@@ -359,6 +359,8 @@ class HandoverEnv(VectorEnv):
         assert inputs is not None
         self.trials = inputs.trials
         shut = scores.opening_m.isfinite() & scores.grasp_shift_m.isfinite()
+        person = self.trials.receiver
+        self._heads = None if person is None else heads_of(person.to(self._device))
         self._held = shut & scores.passed[:, CRITERIA.index("stability")]
         eye = torch.eye(4, dtype=torch.float32, device=self._device)
         grasp, pose = (
@@ -992,7 +994,7 @@ class HandoverEnv(VectorEnv):
         )  # fmt: skip
 
     def obstacles(self, T_world_hand: Float32[Tensor, "r 4 4"], rows: Tensor) -> BodyPoses:
-        """The same for a planner: with arm and torso where `receiver="body"`.
+        """The same for a planner: with arm, torso and head where `receiver="body"`.
 
         Args:
             T_world_hand: (R, 4, 4) palms in the world, metres.
@@ -1004,7 +1006,8 @@ class HandoverEnv(VectorEnv):
         assert self.hands is not None
         receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None  # such an evaluator refuses trials without
-        return with_person(self.scene, bodies, receiver, hand=True)
+        assert self._heads is not None
+        return with_person(self.scene, bodies, receiver, hand=True, head=self._heads[rows])
 
     def _apart(self, rows: Tensor, q: Tensor, T_world_hand: Tensor) -> Tensor:
         """Distances of robot and receiver, with the hands of these rows there, m."""
@@ -1014,14 +1017,15 @@ class HandoverEnv(VectorEnv):
         return torch.minimum(hand, self._from_person(rows, q[:, None], T_world_hand))
 
     def _from_person(self, rows: Tensor, path: Tensor, T_world_hand: Tensor) -> Tensor:
-        """Least distance of the robot on its way from arm and torso as they are with the hands there, m; inf: farther
-        than 5 cm."""
-        assert self.hands is not None
+        """Least distance of the robot on its way from arm, torso and head as they are with the hands there, m; inf:
+        farther than 5 cm."""
+        assert self.hands is not None and self._heads is not None
         receiver = self.hands.people(T_world_hand, rows)
         assert receiver is not None
         length = torch.full((len(rows),), path.shape[1], dtype=torch.int32, device=self._device)
         bodies = self.bodies(T_world_hand, rows)
-        found, part = person_distance(self.scene, bodies, receiver, path, length)
+        head = self._heads[rows]
+        found, part = person_distance(self.scene, bodies, receiver, path, length, head)
         return torch.where(part < 0, torch.inf, found)
 
     def _error(self, purpose: int, share: float) -> Tensor:

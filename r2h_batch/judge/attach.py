@@ -40,8 +40,8 @@ class AttachedBatch:
     attached: Float32[Tensor, "b 4 4"]  # T_obj_ee once the pads have met the object
     ball: Float32[Tensor, "b 3"]  # centre of the receiver's ball in the object's frame
     body_poses: BodyPoses
-    # what planning uses: with the estimated hand if plan.hand is "estimated", with arm and torso if
-    # receiver is "body"
+    # what planning uses: with the estimated hand if plan.hand is "estimated", with arm, torso and
+    # head if receiver is "body"
     planner_poses: BodyPoses
 
 

@@ -1,5 +1,5 @@
 """How near the robot comes to the receiver: to the hand along a motion or at one posture, and to
-arm and torso."""
+arm, torso and head."""
 
 import math
 from collections.abc import Callable
@@ -48,9 +48,10 @@ def person_distance(
     receiver: Float32[Tensor, "b 5 4"],
     path: Float32[Tensor, "b w 6"],
     length: Int32[Tensor, " b"],
+    head: Float32[Tensor, "b 2 4"] | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
-    """Smallest distance of the robot (without the object) from forearm, upper arm and torso along
-    each path; the robot's body.
+    """Smallest distance of the robot (without the object) from forearm, upper arm, torso and head along
+    each path; the robot's body. `head`: as of `with_person`.
 
     Metres, located to 0.02 mm, exact below 5 cm, a lower bound (5 cm, body -1) above; NaN and -1
     without a path. Where they meet: minus a lower bound of the deepest penetration depth found, as
@@ -58,7 +59,7 @@ def person_distance(
     """
     from r2h_batch.judge.plan import path_clearances
 
-    alone = with_person(scene, body_poses, receiver, hand=False)
+    alone = with_person(scene, body_poses, receiver, hand=False, head=head)
     path, length = path.contiguous(), length.contiguous()
     distance, _, body = path_clearances(
         scene, alone, path, length, tolerance_m=SAFE_TOLERANCE_M, without=math.nan
@@ -288,7 +289,7 @@ def nearer_of(
 
     Args:
         hand: of B motions or postures.
-        person_m: (B,) distance of arm and torso, m; NaN: not known.
+        person_m: (B,) distance of arm, torso and head, m; NaN: not known.
         body: (B,) the robot's body there.
     """
     made = over_trials(nearer_rows, len(body), str(body.device))(

@@ -225,7 +225,7 @@ def safe(e: Evidence) -> Criterion:
     """Safe(g, h) <=> M_hand does not meet M_robot(g, h) over the motion. Margin: the smallest
     distance over time, less `safe_margin_m`.
 
-    With `receiver="body"` arm and torso of the receiver count as the hand does.
+    With `receiver="body"` arm, torso and head of the receiver count as the hand does.
     """
     far = None
     if not e.nearest.exact:  # the slack of a motion is taken off a cap too

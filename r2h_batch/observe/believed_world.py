@@ -1,7 +1,8 @@
 """The world that arms are planned in where a run's methods see: what the cameras showed, in place of the truth.
 
 The object is the solid that the images show (`solid`), or the known mesh where it is believed to lie. The hand stands where its
-estimator sees it, arm and torso are shifted as the middle of the palm is. All of the person is grown by `ROOM_M`.
+estimator sees it, arm, torso and head are shifted as the middle of the palm is. All of the person is grown by `ROOM_M`
+(`Scene.hand_room_m`).
 """
 
 from dataclasses import dataclass, replace
@@ -84,7 +85,7 @@ def believed_world(scene: Scene, trials: Trials, sees: Sees) -> BelievedWorld | 
 def _person(
     scene: Scene, trials: Trials, sees: Sees
 ) -> tuple[Float32[Tensor, "m 4 4"], Float32[Tensor, "m 5 4"] | None]:
-    """Where hands are believed to stand, and arms and torsos, grown by `ROOM_M`."""
+    """Where hands are believed to stand, and the persons with them."""
     hands = trials.hand_index
     noise = PredictorNoise().scaled(sees.noise)
     T = estimated_hand(
@@ -96,6 +97,4 @@ def _person(
     true, seen = (scene.palm(hands, x)[0] for x in (trials.T_world_hand, T))
     receiver = trials.receiver.clone()
     receiver[:, :4, :3] += (seen - true)[:, None]
-    receiver[:, :2, 3] += ROOM_M
-    receiver[:, 4, :3] += ROOM_M
     return T, receiver

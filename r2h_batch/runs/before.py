@@ -1,6 +1,6 @@
 """Folders, columns and criteria of r2h_batch 0.3 that this version does not read, told in one line."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,33 +15,55 @@ _told: set[tuple[Path, str]] = set()
 
 
 def tell_unread(folder: Path, header: Mapping[str, Any]) -> None:
-    """Says once what nobody reads of a run.
+    """Says once what nobody reads of a run, and whether its receivers have no head.
 
     Args:
         folder: the run folder.
         header: run.json.
     """
-    if words := unread(folder, header):
-        _tell(folder, f"not read: {words}")
+    words = unread(folder, header)
+    head = [CHANGES["head"]] if _without_head(header) else []
+    _tell(folder, [*([f"not read: {words}"] if words else []), *head])
 
 
-def tell_moved(folder: str) -> None:
-    """Says once that rows judged again may differ in Received.
+CHANGES = {
+    "taken": "its Received took the object where a simulated closing had put it; judged again, it is taken where the gripper"
+    " holds it by geometry",
+    "head": "its receivers have no head; judged again, the head counts as arm and torso do",
+}
+"""What may differ in rows that are judged again (`Benchmark.digests_before`), in words."""
+
+
+def tell_changed(folder: Path, changed: Sequence[str]) -> None:
+    """Says once in what rows judged again may differ.
 
     Args:
         folder: the run folder.
+        changed: keys of `CHANGES`.
     """
-    _tell(
-        Path(folder),
-        "its Received took the object where a simulated closing had put it; judged again, it is taken where the gripper holds"
-        " it by geometry",
-    )
+    _tell(folder, [CHANGES[name] for name in changed])
 
 
-def _tell(folder: Path, words: str) -> None:
-    if (key := (folder.absolute(), words)) not in _told:
-        _told.add(key)
-        LOG.info(f"{printable(folder)}: of r2h_batch 0.3; {words}")
+def has_head(header: Mapping[str, Any]) -> bool:
+    """Whether a run's receivers have a head, in `body_m` and where `--receiver body` counts it; those of r2h_batch 0.3 had none.
+
+    Args:
+        header: run.json.
+    """
+    return "head" in header.get("person", ())
+
+
+def _without_head(header: Mapping[str, Any]) -> bool:
+    """Whether verdicts of a run counted receivers that had no head."""
+    return not has_head(header) and header["configuration"].get("receiver") == "body"
+
+
+def _tell(folder: Path, facts: Sequence[str]) -> None:
+    """Says in one line those of these facts that were not said yet of the folder."""
+    new = [words for words in facts if (folder.absolute(), words) not in _told]
+    _told.update((folder.absolute(), words) for words in new)
+    if new:
+        LOG.info(f"{printable(folder)}: of r2h_batch 0.3; {'. '.join(new)}")
 
 
 def unread(folder: Path, header: Mapping[str, Any]) -> str:

@@ -104,7 +104,7 @@ TRIALS = (
     Column("plan_reason", NAME,
            f"why Plan passed or failed: {_REASONS}. `motion_*` and `beyond_*`: of motions from a file"),
     Column("plan_pair", NAME,
-           f"the pair that collides at start or goal: {_PAIRS}. With `--receiver body` the arm and torso are `hand`"),
+           f"the pair that collides at start or goal: {_PAIRS}. With `--receiver body` arm, torso and head are `hand`"),
     Column("nearest_pair", NAME, "the nearest pair along a path; null beyond 5 cm", since="0.2.0"),
     Column("pick_reason", NAME, f"[why Pick passed or failed](pick.md#what-is-judged): {_words(r.name for r in PickReason)}",
            since="0.3.0", asked="pick"),
@@ -126,8 +126,8 @@ TRIALS = (
     Column("t_exec_s", FLOAT, "until the arm stays at its goal; null: no path", "s"),
     Column("t_method_s", FLOAT, "the method's own time, as it says; else the sweep's time for a chunk / its trials", "s"),
     Column("body_m", FLOAT,
-           "r2h-v1: distance of the robot to the receiver's arm and torso. Exact below 5 cm; 0.05 beyond."
-           " Negative: they overlap by at least this much", "m", since="0.2.0"),
+           "trials of people: distance of the robot to the receiver's arm, torso and head (to 0.3.0: arm and torso). Exact below"
+           " 5 cm; 0.05 beyond. Negative: they overlap by at least this much", "m", since="0.2.0"),
     Column("age_years", FLOAT, "the receiver's age; null here and below: a sweep without `people`", "years", since="0.2.0"),
     Column("sex", NAME, "`male` or `female`", since="0.2.0"),
     Column("stature_m", FLOAT, "the receiver's stature", "m", since="0.2.0"),
@@ -168,7 +168,7 @@ EPISODES = (
     Column("robot_touched", BOOL, "whether the robot caused the contact, not the hand; null: no contact"),
     Column("time_s", FLOAT, "end of the episode; of a success the handover", "s", False),
     Column("least_m", FLOAT, "least distance of robot and hand at the steps, until the hand sets out to take the object;"
-           " with `--receiver body` of arm and torso too", "m", False),
+           " with `--receiver body` of arm, torso and head too", "m", False),
     Column("slack_m", FLOAT, "between steps the distance is at most this much below `least_m`", "m", False),
     Column("near_speed_m_s", FLOAT, "largest speed of the robot near the hand, a bound for its fastest point", "m/s", False),
     Column("ssm_s", FLOAT, "how long robot and hand were nearer than ISO/TS 15066's protective distance", "s", False),

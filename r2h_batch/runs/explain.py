@@ -25,7 +25,7 @@ RECEIVES = {
     "arm": "no grasp is within the person's joints",
     "free": "the hand would meet the closed gripper",
     "way": "the hand's last 10 cm are blocked",
-    "clear": "the arm or the torso would meet the robot",
+    "clear": "the arm, the torso or the head would meet the robot",
     "release": "the fingers could not open, or not back off",
     "hold": "the hand could not carry it",
     "whole_way": "the hand's way from where it waits is blocked",
@@ -54,6 +54,8 @@ PAIRS = {
 """Pairs of bodies (`CollidingPair`) in words."""
 SHORT = ("ik_unreachable", "ik_not_found")
 """Reasons of Plan whose margin is how far the gripper stays from its target."""
+PERSON = "the receiver's arm, torso or head"
+"""What is meant where the hand is not, with `--receiver body`."""
 LEAST = 0.05
 """Smaller margins are not printed as a number (mm, deg)."""
 ENTRIES = {entry.name: entry for entry in EVERY}
@@ -105,7 +107,10 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if outcome == "received":
         return f"{words}{RECEIVES.get(str(row.get('received_reason')), '')}".rstrip(" :,")
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
-        return f"{words}{body_name(str(row['witness_safe_part']))} meets the hand at {row['witness_time_s']:.1f} s"
+        part = body_name(str(row["witness_safe_part"]))
+        if not row.get("witness_point_m"):  # a point is known of the hand alone
+            return f"{words}{part} meets {PERSON}"
+        return f"{words}{part} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is None:
         return f"{words}nothing lies between the pads"
     if outcome == "stability":
@@ -198,10 +203,11 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
     if criterion == "stability" and row.get("width_m") is not None:
         return f"the material between the pads, {1e3 * row['width_m']:.1f} mm along the closing direction"
     if criterion == "safe" and row.get("witness_safe_part"):
-        words = f"{body_name(str(row['witness_safe_part']))}, {row['witness_time_s']:.2f} s after the start"
-        point = row.get("witness_point_m")
-        at = "" if not point else f" at ({', '.join(f'{x:.3f}' for x in point)}) m in the world"
-        return words + at
+        part, point = body_name(str(row["witness_safe_part"])), row.get("witness_point_m")
+        if not point:
+            return f"{part} and {PERSON}"
+        at = f" at ({', '.join(f'{x:.3f}' for x in point)}) m in the world"
+        return f"{part}, {row['witness_time_s']:.2f} s after the start{at}"
     if criterion == "plan" and (row.get("nearest_pair") or row.get("plan_pair")):
         near = row.get("nearest_pair")
         name = str(near or row["plan_pair"])
@@ -242,7 +248,8 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
     if criterion == "affordance":
         return f"the fingers {by} farther from the receiver's part"
     if criterion == "safe":
-        return f"the robot {by} farther from the hand then"
+        who = "the hand then" if row.get("witness_point_m") else PERSON
+        return f"the robot {by} farther from {who}"
     return f"a margin larger by {by}"
 
 

@@ -159,6 +159,8 @@ Header = _record(
     objects=(list[_Object], _ABSENT),
     # criteria that its benchmark asks for beside those of all; the benchmark's digest knows them
     asks=(list[Literal[(*ASKED_NAMES, *NO_LONGER)]], _ABSENT),  # type: ignore[valid-type]
+    # what its receivers are made of; runs of before lack it (before.py)
+    person=(Annotated[list[Name], Field(max_length=100)], _ABSENT),
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),
     robot=(_Robot, _ABSENT),
     hands=(list[JsonValue], _ABSENT),  # sides of the hand set in order, as (side, number of hands)

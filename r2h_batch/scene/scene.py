@@ -64,7 +64,7 @@ class Scene:
         benchmark: its objects, hands, robot, limits and workplace.
         device: `cpu`, `cuda` or `cuda:N`.
         config: planning and motion; None: the default preset.
-        hand_room_m: planning keeps this far from hands, m: where it does not know how they stand.
+        hand_room_m: planning keeps this far from hands and persons, m: where it does not know how they stand.
     """
 
     def __init__(

@@ -30,6 +30,7 @@ from r2h_batch.base.validate import describe_value
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
+from r2h_batch.scene.person import PIECES
 from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Sweep
@@ -227,6 +228,7 @@ def prepare(
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
         **({"asks": list(benchmark.asks)} if benchmark.asks else {}),
+        **({"person": list(PIECES)} if benchmark.has_bodies else {}),
         "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {
             "kind": sweep.device.partition(":")[0],

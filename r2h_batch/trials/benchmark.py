@@ -36,6 +36,7 @@ from r2h_batch.config import EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
+from r2h_batch.scene.person import MADE_OF
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
 from r2h_batch.trials.certified import Answers, Certified
@@ -70,7 +71,7 @@ class Benchmark:
         rule: draws the trials where none are listed.
         name: in messages and tables; the digest leaves it out.
         people: whose bodies and hands the receivers have; None: the rule's own.
-        receiver: what planning and Safe see of the person: the hand, or arm and torso too.
+        receiver: what planning and Safe see of the person: the hand, or arm, torso and head too.
         robot: arm and gripper.
         persons: where persons stand: as the rule places them for the robot's home and reach, or for the UR5e's.
         thresholds: where a criterion turns from pass to fail.
@@ -139,7 +140,7 @@ class Benchmark:
 
     @property
     def has_bodies(self) -> bool:
-        """Whether its trials have receivers with arm and torso."""
+        """Whether its trials have receivers with arm, torso and head."""
         return self.rule.bodies if self.listed is None else self.listed.receiver is not None
 
     @property
@@ -153,14 +154,21 @@ class Benchmark:
         file said it."""
         return self._redrawn(self._digest)
 
-    def digest_before(self, asks: Sequence[str]) -> str:
-        """The digest that r2h_batch 0.3 gave these trials: its Received took the object where a simulated closing had put
-        it, and it knew a criterion more.
+    def digests_before(self, asks: Sequence[str]) -> dict[str, tuple[str, ...]]:
+        """The digests that earlier versions gave these trials -> what has changed since: `taken`, Received took the object
+        where a simulated closing had put it; `head`, the person had none.
 
         Args:
-            asks: what the benchmark asked for then.
+            asks: what the benchmark asked for then; r2h_batch 0.3 knew a criterion more.
         """
-        return self._redrawn(self._digest_of(f"asks {' '.join(asks)}\n" if asks else ""))
+        head = ("head",) if self.receiver == "body" else ()
+        found = {}
+        if head:
+            found[self._redrawn(self._digest_of(self._asks, person=""))] = head
+        if "received" in self.asks:
+            words = f"asks {' '.join(asks)}\n"
+            found[self._redrawn(self._digest_of(words, person=""))] = ("taken", *head)
+        return found
 
     def _redrawn(self, digest: str) -> str:
         """A digest of trials that are drawn once, with how often they were drawn again."""
@@ -171,9 +179,10 @@ class Benchmark:
     @cached_property
     def undrawn_digest(self) -> str:
         """The digest of the same trials drawn once and judged by all criteria, with the objects as they lie in their own
-        files: what certificates are for."""
+        files: what certificates are for. It leaves out what a person is made of, which decides no draw."""
         own = tuple(o.who.own for o in self.objects)
-        return replace(self, objects=own, asks=ASKED_NAMES, certified=None)._digest
+        plain = replace(self, objects=own, asks=ASKED_NAMES, certified=None)
+        return plain._digest_of(plain._asks, person="")
 
     @cached_property
     def own_certified(self) -> Certified | None:
@@ -213,16 +222,22 @@ class Benchmark:
     @cached_property
     def _digest(self) -> str:
         """`digest` of trials that are drawn once."""
+        return self._digest_of(self._asks)
+
+    @property
+    def _asks(self) -> str:
+        """What it asks for beside what all benchmarks ask, in the digest's words."""
         asks = f"asks {' '.join(self.asks)}\n" if self.asks else ""
         if "received" in self.asks:  # where it is held, by geometry
             asks += "received where it is held\n"
-        return self._digest_of(asks)
+        return asks
 
-    def _digest_of(self, asks: str) -> str:
-        """`_digest` with what the benchmark asks for in these words."""
+    def _digest_of(self, asks: str, *, person: str | None = None) -> str:
+        """`_digest` with what the benchmark asks for in these words, and with a person who is made of that; None: as today."""
         digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
-            digest.update(f"receiver {self.receiver}\n".encode())
+            made_of = MADE_OF if person is None else person
+            digest.update(f"receiver {self.receiver}\n{made_of}".encode())
         digest.update(asks.encode())
         if self.seed:
             digest.update(f"seed {self.seed}\n".encode())

@@ -31,7 +31,7 @@ class BenchmarkChoice:
     people: str = ""
     """Receivers of every size: adults, children, elderly, all, wheelchair, or your own .csv (import people)."""
     receiver: Literal["", "hand", "body"] = ""
-    """Whether planning and Safe see the hand, or the person's arm and torso too."""
+    """Whether planning and Safe see the hand, or the person's arm, torso and head too."""
     until: Literal["", "present", "received"] = ""
     """Where trials of r2h-v3-draft end: present (nobody is asked to take the object), or received."""
     turn: str = ""

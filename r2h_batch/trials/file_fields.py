@@ -159,7 +159,7 @@ class BenchmarkFile(_Entry):
     )
     receiver: Literal["hand", "body"] | None = Field(
         default=None,
-        description="what planning and Safe see of the person: the hand, or arm and torso too; null: as the benchmark does",
+        description="what planning and Safe see of the person: the hand, or arm, torso and head too; null: as the benchmark does",
     )
     hand_model: FilePath = Field(
         default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)"

@@ -11,7 +11,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import LISTED
 from r2h_batch.data.people import WORDS
-from r2h_batch.runs.before import tell_moved
+from r2h_batch.runs.before import tell_changed
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.scene.robot_file import ROBOTS
 from r2h_batch.trials.benchmark import Benchmark
@@ -69,9 +69,9 @@ def benchmark_of_run(header: Mapping[str, Any], given: BenchmarkChoice, where: s
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest
-        if "received" in asks and digests["benchmark"] == benchmark.digest_before(asked):
+        if changed := benchmark.digests_before(asked).get(digests["benchmark"]):
             found["benchmark"] = digests["benchmark"]
-            tell_moved(where)
+            tell_changed(Path(where), changed)
     differing = [k for k, v in found.items() if digests.get(k) != v]
     pairs = zip(header.get("objects", ()), benchmark.objects, strict=False)
     if other := [o.name for entry, o in pairs if entry.get("digest", "") != object_digest(o)]:

@@ -1,5 +1,5 @@
 """Benchmark r2h-v2: six instances of each of 16 families of objects, and people from 6 to 90
-years, whose arm and torso count. Frozen."""
+years, whose arm, torso and head count. Frozen."""
 
 from r2h_batch.data.people import ALL, built_in_people, people_hand_set
 from r2h_batch.scene.objects import INSTANCE_NAMES, load_objects
@@ -11,7 +11,7 @@ from r2h_batch.trials.registry import BENCHMARK
 
 @BENCHMARK("r2h-v2")
 def r2h_v2() -> Benchmark:
-    """96 objects, 2,000 people with 400 hands of theirs, whose arms and torsos count."""
+    """96 objects, 2,000 people with 400 hands of theirs, whose arms, torsos and heads count."""
     # objects take turns in their order: categories first, then instances
     in_turn = sorted(INSTANCE_NAMES, key=lambda name: name.rpartition("_")[2])
     people = built_in_people(ALL)

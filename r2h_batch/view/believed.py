@@ -53,5 +53,6 @@ def as_believed(
         asked=None if stored.asked is None else postures_at(judge, world.trials, own),
         note=NOTE,
         believed=True,
+        room_m=ROOM_M,
     )
     return with_legs(believed, judge, world.trials, own)

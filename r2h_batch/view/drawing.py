@@ -336,7 +336,7 @@ class Drawing:
         return float(margin) if margin is not None and np.isfinite(margin) else None
 
     def _checked(self) -> list[tuple[int, int, str]]:
-        """Pairs of geoms that planning checks, and the kind of each; arm and torso of the person are checked as the hand is."""
+        """Pairs of geoms that planning checks, and the kind of each; the person's body is checked as the hand is."""
         of_body = self._collision_geoms()
         person = of_body.get("hand", [])
         if self.stored.header["configuration"].get("receiver") == "body":

@@ -27,6 +27,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import torch
 import trimesh
 from numpy.typing import NDArray
 
@@ -50,6 +51,7 @@ from r2h_batch.scene.model_parts import (
     look,
     visual_mesh,
 )
+from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.robot import (
     Robot,
     ShapeKind,
@@ -284,7 +286,7 @@ def spec_of(stored: StoredTrial) -> mujoco.MjSpec:
     _add_ball(spec, hands, stored, limits)
     _add_numbers(spec, stored, limits)
     if stored.receiver is not None:
-        # with receiver "body" planning goes around arm and torso, so they collide here too
+        # with receiver "body" planning goes around arm, torso and head, so they collide here too
         judged = stored.header["configuration"].get("receiver") == "body"
         _add_receiver(spec, stored, stored.receiver, hands, collides=judged)
     for name, at in CAMERAS.items():
@@ -476,7 +478,7 @@ def _add_numbers(spec: mujoco.MjSpec, stored: StoredTrial, limits: Thresholds) -
 def _add_receiver(
     spec: mujoco.MjSpec, stored: StoredTrial, receiver: Array, hands: Hands, *, collides: bool
 ) -> None:
-    """The receiver's skin, which is only seen, and arm and torso (`Trials.receiver`, (5, 4)); with `collides`
+    """The receiver's skin, which is only seen, and arm, torso (`Trials.receiver`, (5, 4)) and head; with `collides`
     links and object may touch these."""
     body, color = spec.worldbody.add_body(name="receiver"), MARK_COLORS["receiver"]
     k, sex = stored.row["hand_index"], stored.row.get("sex")
@@ -502,10 +504,16 @@ def _add_receiver(
     limbs = (("upper_arm", shoulder, elbow), ("forearm", elbow, wrist))
     how: dict[str, Any] = {"group": COLLISION, "rgba": (*color[:3], 0.4)}
     for (limb, a, b), radius in zip(limbs, receiver[:2, 3], strict=True):
-        size = [radius, 0, 0]
+        size = [radius + stored.room_m, 0, 0]
         body.add_geom(name=f"receiver/{limb}", type=_CAPSULE, fromto=[*a, *b], size=size, **how)
     quat = quat_wxyz(turn)
-    body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=half, **how)
+    size = half + stored.room_m
+    body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=size, **how)
+    low, high = heads_of(torch.from_numpy(receiver[None]).float())[0].double().numpy()
+    size = [low[3] + stored.room_m, 0, 0]
+    body.add_geom(
+        name="receiver/head", type=_CAPSULE, fromto=[*low[:3], *high[:3]], size=size, **how
+    )
 
 
 def receiver_meshes(

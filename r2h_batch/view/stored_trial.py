@@ -37,6 +37,7 @@ class StoredTrial:
     asked: Postures | None = None  # what planning met at the target, where there is no path
     planned_q: Array | None = None  # (P, joints) rad where q was executed; None: q is the plan
     believed: bool = False  # the bodies are those that planning believed in
+    room_m: float = 0.0  # planning grew the person by this
     note: str = ""  # where what was computed again is not what is stored
     resting: Array | None = None  # T_world_obj of an object that nobody holds yet; None: it is held
     before: "tuple[StoredTrial, ...]" = ()  # legs before the motion: how the object was picked

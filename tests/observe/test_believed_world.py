@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import torch
+import warp as wp
 from rounds import each
 from scipy.spatial import cKDTree
 
@@ -12,6 +13,7 @@ from r2h_batch.observe.believed_world import ROOM_M, believed_world
 from r2h_batch.observe.estimates import believed_receiver
 from r2h_batch.observe.known import known_moments
 from r2h_batch.observe.sees import Sees
+from r2h_batch.scene.person import PIECES, with_person
 from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 
 
@@ -49,6 +51,17 @@ def test_a_completed_solid_lies_about_what_was_seen_of_the_object():
         assert np.abs(solid.mean(0) - points.mean(0)).max() < 0.05
 
 
+def pieces(scene, trials):
+    """By how much each piece of the persons is rounded (n, 4), and its points in the world (n, 4, 16, 3)."""
+    n, eye = len(trials), torch.eye(4).repeat(len(trials), 1, 1)
+    bodies = scene.body_poses(trials.object_index, trials.hand_index, eye, trials.T_world_hand, torch.zeros(n))
+    world = with_person(scene, bodies, trials.receiver, hand=False).world
+    points = wp.to_torch(world.own_points).reshape(n, len(PIECES), 3, 16).transpose(2, 3).double()
+    T = trials.T_world_hand.double()[:, None, None]
+    placed = (T[..., :3, :3] @ points[..., None])[..., 0] + T[..., :3, 3]
+    return wp.to_torch(world.piece_round).reshape(n, -1).numpy(), placed.numpy()
+
+
 def test_hands_and_persons_stand_where_the_estimate_says_and_are_grown():
     sees = "cell-v1,noise=0.5,seed=4"
     trials, found = world(sees)
@@ -61,10 +74,17 @@ def test_hands_and_persons_stand_where_the_estimate_says_and_are_grown():
     assert 1e-3 < off.mean() < 0.03
     before, after = trials.receiver, found.trials.receiver
     assert torch.allclose(after[:, :4, :3] - before[:, :4, :3], (own - true)[:, None].expand(-1, 4, 3), atol=1e-6)
-    assert torch.allclose(after[:, :2, 3] - before[:, :2, 3], torch.tensor(ROOM_M), atol=1e-6)
-    assert torch.allclose(after[:, 4, :3] - before[:, 4, :3], torch.tensor(ROOM_M), atol=1e-6)
-    assert torch.equal(after[:, 2:, 3], before[:, 2:, 3])  # the wrist's, and where the torso faces
+    assert torch.equal(after[:, :, 3], before[:, :, 3]) and torch.equal(after[:, 4], before[:, 4])
     assert found.scene.hand_room_m == ROOM_M
+    (round_true, points_true), (round_seen, points_seen) = pieces(scene(), trials), pieces(found.scene, found.trials)
+    arms_and_head = [PIECES.index(name) for name in ("forearm", "upper_arm", "head")]
+    grown = round_seen - round_true
+    assert np.allclose(grown[:, arms_and_head], ROOM_M, atol=1e-6) and not grown[:, PIECES.index("torso")].any()
+    moved = points_seen - points_true - (own - true).numpy()[:, None, None]
+    assert np.abs(moved[:, arms_and_head]).max() < 3e-6  # a head on a box that has grown would stand higher
+    at = moved[:, PIECES.index("torso")]
+    assert np.allclose(np.abs(at[..., 2]), ROOM_M, atol=3e-6)
+    assert np.allclose(np.linalg.norm(at, axis=-1), 3**0.5 * ROOM_M, atol=3e-6)
     T = estimated_hand(
         scene(), trials.trial_id, trials.hand_index, trials.T_world_hand, seed=4, noise=PredictorNoise().scaled(0.5)
     )

@@ -4,10 +4,14 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from made_runs import write_run
+from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.statistics.breakdown import examples
+from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import render, table_of
 from r2h_batch.runs import before
@@ -57,6 +61,35 @@ def test_every_folder_of_before_beside_the_shards_is_told_and_stays(tmp_path, mo
     assert f"not read: {', '.join(f'{name}/' for name in before.FOLDERS)}" in said
     assert main(["results", "verify", str(run)]) == 0
     assert all((run / name / "whatever.parquet").read_bytes() == b"it was" for name in before.FOLDERS)
+
+
+def test_runs_of_persons_without_a_head_are_told_and_never_compared_with_others(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(before, "_told", set())
+    body = {"configuration": {"name": "default", "receiver": "body"}}
+    outcomes = {"m": np.arange(12) % 3, "n": np.arange(12) % 2}
+    old = write_run(tmp_path / "old", outcomes, 6, 6, **body)
+    assert capsys.readouterr().err.count("its receivers have no head") == 1
+    new = write_run(tmp_path / "new", outcomes, 6, 6, **body, person=["forearm", "upper_arm", "torso", "head"])
+    assert "head" not in capsys.readouterr().err
+    for pair in each(((old, new), (new, old))):
+        with pytest.raises(
+            ValueError, match=r"what a person is made of \(the receivers of old have no head\): their trials"
+        ):
+            common_trials(pair)
+    assert not common_trials([old, old]).notes and not common_trials([new, new]).notes
+    assert main(["compare", str(old.folder), str(new.folder)]) == 2
+    said = capsys.readouterr().err
+    assert "the receivers of old have no head" in said and said.count("no head") == 1  # `old` was told
+
+
+def test_hands_alone_are_judged_as_before_and_body_m_says_whose_it_is(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(before, "_told", set())
+    outcomes = {"m": np.arange(12) % 3}
+    old = write_run(tmp_path / "old", outcomes, 6, 6)
+    new = write_run(tmp_path / "new", outcomes, 6, 6, person=["forearm", "upper_arm", "torso", "head"])
+    assert not capsys.readouterr().err
+    (note,) = common_trials([old, new]).notes
+    assert note.startswith("body_m of old is of arm and torso alone")
 
 
 def test_rows_that_failed_there_keep_their_outcome_and_count_as_failures(run, method):

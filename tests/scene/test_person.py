@@ -1,4 +1,4 @@
-"""A person's arm and torso as pieces of a hand: placed as NumPy places them in float64, and held by their bounds."""
+"""A person's arm, torso and head as pieces of a hand: placed as NumPy places them in float64, and held by their bounds."""
 
 import itertools
 
@@ -6,12 +6,15 @@ import numpy as np
 import pytest
 import torch
 import warp as wp
+from oracle import head_of
 from problems import default_evaluator, make_batch
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.distance import HandTables, hand_distance_at
-from r2h_batch.scene.person import PIECES, with_person
+from r2h_batch.scene import person as pieces_of
+from r2h_batch.scene.person import HEAD_M, MADE_OF, PIECES, heads_of, with_person
 
 N = 40
 
@@ -23,16 +26,54 @@ def held():
     return attach_object(scene, batch.T_obj_ee, batch.T_world_ee, trials, scene.config).body_poses, trials
 
 
+def test_heads_are_the_capsules_that_numpy_makes_and_stand_above_the_shoulders_with_the_eyes_in_them():
+    receiver = load_benchmark("r2h-v2").trials(N).receiver
+    found, eyes = heads_of(receiver), pieces_of.eyes_of(receiver)
+    for row, (low, high) in enumerate(each(found.double().numpy())):
+        a, b, radius = head_of(receiver[row].double().numpy())
+        assert np.abs(low[:3] - a).max() < 2e-7 and np.abs(high[:3] - b).max() < 2e-7
+        assert low[3] == high[3] and abs(low[3] - radius) < 1e-8
+        assert 0.08 < radius < 0.13 and high[2] > low[2] > float(receiver[row, 0, 2]) + radius - 0.03
+        for eye in eyes[row].numpy():
+            along = np.clip((eye - a) @ (b - a) / ((b - a) @ (b - a)), 0, 1)
+            assert np.linalg.norm(eye - a - along * (b - a)) < radius + 0.01
+
+
+def test_the_heads_of_other_receivers_are_given():
+    """In a closed loop the arm follows the hand, and the head stays."""
+    scene, trials = default_evaluator().scene, load_benchmark("r2h-v1").trials(4)
+    bodies = attach_object(
+        scene, make_batch(scene, 4).T_obj_ee, make_batch(scene, 4).T_world_ee, trials[:4], scene.config
+    ).body_poses
+    own, moved = heads_of(trials[:4].receiver), trials[:4].receiver.clone()
+    moved[:, 1, :3] += 0.1
+    first = with_person(scene, bodies, trials[:4].receiver, hand=False).world
+    other = with_person(scene, bodies, moved, hand=False, head=own).world
+    head = slice(PIECES.index("head"), None, len(PIECES))
+    for name in each(("piece_center", "piece_radius", "piece_round")):
+        a, b = (wp.to_torch(getattr(w, name))[head] for w in (first, other))
+        assert torch.equal(a, b), name
+    assert not torch.equal(own, heads_of(moved))
+
+
+def test_what_a_person_is_made_of_is_written_down_whole():
+    """Whoever adds a piece or changes the head changes this text, and with it the digests of benchmarks whose person counts."""
+    assert [line.partition(":")[0] for line in MADE_OF.splitlines()] == list(PIECES)
+    numbers = [f"{x:g}" for pair in HEAD_M.values() for x in pair]
+    assert [w for w in MADE_OF.splitlines()[-1].split() if w[0].isdigit()] == numbers
+
+
 def corners_of(receiver, T_world_hand):
-    """Cores (3, 8, 3) in the hand's frame and by how much they are grown, float64."""
+    """Cores (4, 8, 3) in the hand's frame and by how much they are grown, float64."""
     shoulder, elbow, wrist, middle, half = receiver[:, :3]
     facing = np.array([receiver[3, 3], receiver[4, 3], 0.0])
     axes = np.stack([facing, np.cross([0.0, 0.0, 1.0], facing), [0.0, 0.0, 1.0]])
     signs = np.array([s[::-1] for s in itertools.product((-1.0, 1.0), repeat=3)])
     torso = middle + (signs * half) @ axes
-    world = np.stack([[elbow, wrist] * 4, [shoulder, elbow] * 4, torso])
+    low, high, head = head_of(receiver)
+    world = np.stack([[elbow, wrist] * 4, [shoulder, elbow] * 4, torso, [low, high] * 4])
     local = (world - T_world_hand[:3, 3]) @ T_world_hand[:3, :3]
-    return local, np.array([receiver[1, 3], receiver[0, 3], 0.0])
+    return local, np.array([receiver[1, 3], receiver[0, 3], 0.0, head])
 
 
 @pytest.mark.parametrize("hand", [False, True], ids=["alone", "beside the hand"])

@@ -59,10 +59,20 @@ class Clearances:
         return min(self.distance, key=lambda k: self.distance[k])
 
 
+def head_of(receiver: Array) -> tuple[Array, Array, float]:
+    """Lower and upper end and radius of the head's capsule (`scene.person.heads_of`), m."""
+    upper = float(np.linalg.norm(receiver[1, :3] - receiver[0, :3]))
+    facing = np.array([receiver[3, 3], receiver[4, 3], 0.0])
+    top = receiver[3, :3] + [0.0, 0.0, receiver[4, 2]]
+    low = top + (0.032 + 0.079 * upper) * facing + [0.0, 0.0, 0.130 + 0.131 * upper]
+    high = top + (0.017 + 0.057 * upper) * facing + [0.0, 0.0, 0.127 + 0.331 * upper]
+    return low, high, 0.069 + 0.113 * upper
+
+
 class MujocoScene:
     """A MuJoCo C model of one trial with the pairs that planning checks.
 
-    A `receiver` (5, 4), as in `Trials.receiver`, stands there with arm and torso, and counts as the hand does; `person`
+    A `receiver` (5, 4), as in `Trials.receiver`, stands there with arm, torso and head, and counts as the hand does; `person`
     names their geoms.
     """
 
@@ -157,15 +167,17 @@ class MujocoScene:
         T = np.eye(4)
         T[:3] = np.array([[x, -y, 0.0, middle[0]], [y, x, 0.0, middle[1]], [0.0, 0.0, 1.0, middle[2]]])
         spec.worldbody.add_geom(name="torso", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **_pose(T), **_PASSIVE)
-        return ["forearm", "upper_arm", "torso"]
+        low, high, radius = head_of(receiver)
+        spec.worldbody.add_geom(name="head", type=capsule, fromto=[*low, *high], size=[radius, 0, 0], **_PASSIVE)
+        return ["forearm", "upper_arm", "torso", "head"]
 
     def pairs_with_person(self) -> NDArray[np.int64]:
-        """(n, 2) geoms: the robot's, and the receiver's arm and torso."""
+        """(n, 2) geoms: the robot's, and the receiver's arm, torso and head."""
         ids = [self.model.geom(n).id for link in self.robot.links for n in self.groups[link]]
         return np.array([(a, self.model.geom(n).id) for a in ids for n in self.person])
 
     def person_at(self, q: ArrayLike, *, cap: float = 0.05) -> float:
-        """Distance of robot and the receiver's arm and torso at a posture, exact below `cap`; negative depths are rough."""
+        """Distance of robot and the receiver's arm, torso and head at a posture, exact below `cap`; negative depths are rough."""
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         pairs = self.pairs_with_person()

@@ -1,12 +1,14 @@
 """A benchmark as a file: the built-in one comes back bit for bit, another one is another one everywhere."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import trimesh
+from rounds import each
 
 from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.__main__ import main
@@ -70,6 +72,19 @@ def test_the_built_in_one_is_such_a_file(tmp_path, capsys):
     schema = json.loads(capsys.readouterr().out)
     assert set(schema["properties"]) >= {"objects", "hand_set", "hand_model", "thresholds", "table", "home", "protocol"}
     assert set(schema["$defs"]["Thresholds"]["properties"]) == set(Thresholds.__dataclass_fields__)
+
+
+def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeypatch):
+    digests = {name: load_benchmark(name).digest for name in ("r2h-v0", "r2h-v1", "r2h-v2", "r2h-v3-draft")}
+    assert digests["r2h-v0"].startswith("3bff8fe196d6") and digests["r2h-v1"].startswith("e9a7531f1846")
+    assert list(load_benchmark("r2h-v2").digests_before(())) == [
+        "940101feca37a37ffcc3e60468b04b7b2200d1726a77f65e91da0d871adc49b0"
+    ]
+    assert load_benchmark("r2h-v1").digests_before(()) == {}
+    monkeypatch.setattr("r2h_batch.trials.benchmark.MADE_OF", "other pieces\n")
+    for name, digest in each(digests.items()):
+        other = replace(load_benchmark(name), name="other")
+        assert (other.digest == digest) == (other.receiver == "hand"), name
 
 
 def test_every_number_of_a_file_makes_another_benchmark(tmp_path):

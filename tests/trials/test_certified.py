@@ -20,6 +20,8 @@ from r2h_batch.trials.certified import Certified, joined_certified, load_certifi
 from r2h_batch.trials.edit import in_frame
 
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
+BEFORE_THE_HEAD = "36b70d92574e9d24beeb2b467c134e8a30f6e51795053d7bcc1abf2ca6df7a91"
+"""The draft's digest at commit 59030892, whose receivers had none."""
 
 
 @pytest.fixture(scope="module")
@@ -69,14 +71,21 @@ def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(draft):
     }
     for n, digest in each(told.items()):
         assert trials_digest(draft.trials(n)) == digest
-    assert draft.until("present").digest == "717fc7d6f3accb16c9db94b0158a3e3fe3c0b21acc49d80bee480d64fdd861ca"
+    before = "717fc7d6f3accb16c9db94b0158a3e3fe3c0b21acc49d80bee480d64fdd861ca"  # of receivers without a head
+    assert draft.until("present").digests_before(()) == {before: ("head",)}
 
 
 def test_rows_of_0_3_are_of_the_same_trials_under_the_digest_that_they_had(draft):
     asks = ("pick", "received")
-    assert draft.digest_before((*asks, "taken")) == "28f0b8594604aab7cc847ebd6c8c2c8346169428fd23db6ff07a7266eac101db"
-    before = draft.digest_before(asks)
-    assert before == "0b33788622d49ee39353ef385d0f7ca32f188d0d9ce5a07507813f6eb7b9a1dc" != draft.digest
+    told = {
+        (*asks, "taken"): "28f0b8594604aab7cc847ebd6c8c2c8346169428fd23db6ff07a7266eac101db",
+        asks: "0b33788622d49ee39353ef385d0f7ca32f188d0d9ce5a07507813f6eb7b9a1dc",
+    }
+    for asked, digest in each(told.items()):
+        before = draft.digests_before(asked)
+        assert before[digest] == ("taken", "head") and draft.digest not in before
+        (between,) = (found for found, what in before.items() if what == ("head",))
+        assert between == BEFORE_THE_HEAD
 
 
 def test_only_what_was_drawn_again_is_another_trial_with_another_moment(draft, again):
@@ -114,7 +123,8 @@ def test_trials_have_the_same_bits_alone_and_in_any_order(again):
 def test_the_digest_covers_the_redraws_and_certificates_hold_for_no_other_benchmark(draft, again):
     plain = replace(draft, certified=None)
     assert len({plain.digest, again.digest, draft.digest}) == 3
-    assert plain.digest == plain.undrawn_digest == again.undrawn_digest == draft.undrawn_digest
+    assert plain.undrawn_digest == again.undrawn_digest == draft.undrawn_digest
+    assert plain.digests_before(plain.asks)[plain.undrawn_digest] == ("head",)
     few = replace(again, objects=again.objects[:90])
     others = (again.with_seed("0" * 32), few, replace(again, certified=replace(again.certified, benchmark="x")))
     for other in each(others):

@@ -1,20 +1,66 @@
 """Postures at a target that no path leads to: headline, picture and margin speak about one posture and one pair."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+import torch
+from rounds import each
 
+from r2h_batch import Evaluator, load_benchmark
+from r2h_batch.methods import fc
+from r2h_batch.scene.person import heads_of
+from r2h_batch.sweep import command as sweep
+from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.view.captions import PAIRS, as_html, as_markdown, verdict_of
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
+from r2h_batch.view.why import explanation
 
 ROWS = Path(__file__).resolve().parents[2] / "bench" / "rows" / "v1-release-preset"
 MOST = 24
 """Failed plans of each method that are looked at."""
 SAME_M = 2e-4
 """MuJoCo's depth of an overlap may be this much below the evaluator's bound: convex pieces against meshes."""
+
+
+@pytest.fixture(scope="module")
+def at_heads(tmp_path_factory):
+    """A run of r2h-v2 in which an object is held out 5 cm before the middle of each receiver's head."""
+    folder, benchmark = tmp_path_factory.mktemp("heads"), load_benchmark("r2h-v2")
+    trials = benchmark.trials(8)
+    answer = fc.predict(trials, Evaluator(benchmark).scene)
+    head = heads_of(trials.receiver)[:, :, :3].mean(1)
+    T = answer.T_world_ee.clone()
+    T[:, :3, 3] = head
+    T[:, :2, 3] -= 0.1 * head[:, :2] / head[:, :2].norm(dim=1, keepdim=True)
+    write_predictions(folder / "heads.npz", replace(answer, T_world_ee=T, method="heads"))
+    line = ["--predictions", str(folder / "heads.npz"), "--trials", "8", "--execute.sim", "none"]
+    assert sweep.main([*line, "--benchmark", "r2h-v2", "--out", str(folder / "run")]) == 0
+    return folder / "run"
+
+
+def test_who_holds_an_object_into_the_head_is_told_so_in_words_and_picture(at_heads):
+    reader = Reader(at_heads)
+    rows = [r for r in reader.rows("heads").to_pylist() if r["plan_reason"] == "ik_in_collision"]
+    found = []
+    for row in each(rows):
+        drawing = Drawing(reader.trial(row["trial_id"], "heads"))
+        if "receiver/head" not in drawing.witness.geoms:
+            continue
+        found.append(row["trial_id"])
+        assert drawing.stored.asked.nearest.other == "head" and "receiver head" in drawing.witness.caption
+        assert "receiver head" in str(explanation(reader, row["trial_id"], "heads"))
+        (mark,) = [
+            m for m in drawing.marks if m.group == "witness" and m.geom == drawing.model.geom("receiver/head").id
+        ]
+        low, high = heads_of(torch.from_numpy(drawing.stored.receiver[None]).float())[0].double().numpy()
+        data, size = drawing.at(drawing.stored.target_q), drawing.model.geom_size[mark.geom]
+        assert np.allclose(data.geom_xpos[mark.geom], 0.5 * (low + high)[:3], atol=1e-6)
+        assert np.allclose(size[:2], [low[3], 0.5 * np.linalg.norm((high - low)[:3])], atol=1e-6)
+    assert len(found) >= 4
 
 
 @pytest.fixture(scope="module")

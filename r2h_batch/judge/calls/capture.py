@@ -67,7 +67,7 @@ class Captured:
         bodies: bool,
     ) -> None:  # fmt: skip
         """`score`: what is repeated, of poses (b, 4, 4) and b trials; on CUDA it may not wait for
-        the device. `bodies`: the trials' receivers have arm and torso."""
+        the device. `bodies`: the trials' receivers have a body."""
         b = integer(1, what=" of rows")("b", b)
         self._score = score
         self.T_obj_ee = torch.eye(4, dtype=torch.float32, device=device).repeat(b, 1, 1)

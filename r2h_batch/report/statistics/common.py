@@ -11,6 +11,7 @@ from r2h_batch.base.registry import FOREIGN, is_drawn
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.codes import judged_by
+from r2h_batch.runs.before import has_head
 from r2h_batch.runs.plugged import other_criteria
 from r2h_batch.runs.store import Run
 from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
@@ -94,6 +95,11 @@ def common_trials(
             "The shipped baselines were scored by an earlier version of the code; "
             "the project's tests check that this version gives the same verdicts."
         )
+    bare = [run.folder.name for run in judged if not has_head(run.header)]
+    if 0 < len(bare) < len(judged):
+        notes.append(
+            f"body_m of {' and '.join(bare)} is of arm and torso alone, that of the others of the head too; no verdict asks it."
+        )
     notes += _lacking(runs)
     return Common(trials, tuple(notes))
 
@@ -142,6 +148,9 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         return criteria[0]
     if left["digests"].get("sees") != right["digests"].get("sees"):
         return f"what their methods see ({seeing(left)}, {seeing(right)})"
+    if has_head(left) != has_head(right) and left["configuration"].get("receiver") == "body":
+        bare = b if has_head(left) else a
+        return f"what a person is made of (the receivers of {bare.folder.name} have no head)"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"

@@ -89,7 +89,7 @@ _OURS = (
         "body_met",
         Share(
             "Body met",
-            "Motions that meet the receiver's arm or torso (part of Safe with --receiver body, as in r2h-v2).",
+            "Motions that meet the receiver's arm, torso or head (to 0.3.0: arm or torso; part of Safe with --receiver body).",
             ("body_m",),
             _body_met,
         ),

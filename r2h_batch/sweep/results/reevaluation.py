@@ -20,6 +20,7 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.validate import check_arguments, instance_of, integer, optional, text
 from r2h_batch.config import BORDERLINE_M
+from r2h_batch.runs.before import has_head
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, schema_of
 from r2h_batch.runs.methods import Entry
@@ -248,9 +249,10 @@ def _differing_rows(part: Part, judge: Judge) -> Iterator[Difference]:
 
 
 def _compared(run: Run) -> dict[str, tuple[str, ...]]:
-    """`COMPARED` with the columns of what the run's benchmark asks for."""
+    """`COMPARED` with the columns of what the run's benchmark asks for; without `body_m` of persons who had no head."""
+    left_out = TIMING if has_head(run.header) else (*TIMING, "body_m")
     own = schema_of(run.header, "trials").names
-    return {**COMPARED, "trials": tuple(n for n in own if n not in TIMING)}
+    return {**COMPARED, "trials": tuple(n for n in own if n not in left_out)}
 
 
 def _by_id(table: pa.Table, compared: Sequence[str]) -> dict[int, dict[str, Any]]:
