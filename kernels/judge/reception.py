@@ -18,7 +18,15 @@ from r2h_batch.kernels.receiver.grasps import Receiving, about_axis, unit, way_d
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
 
 from ..robot.joints import FRAMES, GRIPPER, vecq
-from ..robot.world import TrialBodies, World, body_pose, forward_kinematics, link_frame, robot_shape
+from ..robot.world import (
+    TrialBodies,
+    World,
+    body_pose,
+    forward_kinematics,
+    link_frame,
+    object_shape,
+    robot_shape,
+)
 
 wp.set_module_options(OPTIONS | {"max_unroll": 0})  # unrolled, it takes many times as long to compile
 
@@ -46,6 +54,8 @@ TAN_ULNAR, TAN_RADIAL = wp.constant(0.57736), wp.constant(0.36398)
 MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
 LEAST_INWARDS = wp.constant(0.030150)
 """Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
+HEAD = wp.constant(3)
+"""The last limb: forearm, upper arm, torso, head."""
 FOREARM_POINTS = wp.constant(9)
 """Points of the forearm that must lie outside the torso's box, as when persons are placed (trials/draw/receivers.py)."""
 
@@ -71,6 +81,9 @@ class Arm:
     torso: wp.vec3  # the box's middle
     axes: wp.mat33  # its axes as columns: ahead, left, up
     half: wp.vec3
+    chin: wp.vec3  # the head's capsule
+    crown: wp.vec3
+    head_radius: float
 
 
 @wp.func
@@ -111,6 +124,20 @@ def leaned(receiver: wp.array2d(dtype=wp.vec4), row: int, lean_deg: float) -> Ar
     arm.lower_radius = receiver[row, 1][3]
     arm.torso = hip + axes * wp.vec3(0.0, 0.0, arm.half[2])
     arm.axes = axes
+    return arm
+
+
+@wp.func
+def leaned_with_head(
+    receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4), row: int, lean_deg: float
+) -> Arm:
+    """The same with the head (`scene.person.heads_of`), which leans with the trunk."""
+    arm = leaned(receiver, row, lean_deg)
+    upright, hip = trunk_axes(receiver, row, 0.0)
+    turn = arm.axes * wp.transpose(upright)
+    arm.chin = hip + turn * (wp.vec3(head[row, 0][0], head[row, 0][1], head[row, 0][2]) - hip)
+    arm.crown = hip + turn * (wp.vec3(head[row, 1][0], head[row, 1][1], head[row, 1][2]) - hip)
+    arm.head_radius = head[row, 0][3]
     return arm
 
 
@@ -444,7 +471,7 @@ def frame_along(z: wp.vec3):
 
 @wp.func
 def limb_gap(arm: Arm, limb: int, c0: wp.vec3, c1: wp.vec3):
-    """Lower bound (m) on the distance of a segment from a limb: forearm, upper arm, or the torso's box."""
+    """Lower bound (m) on the distance of a segment from a limb: forearm, upper arm, the torso's box, or the head."""
     if limb == 2:
         # of the box around the segment, along the torso's axes
         a = wp.transpose(arm.axes) * (c0 - arm.torso)
@@ -453,6 +480,8 @@ def limb_gap(arm: Arm, limb: int, c0: wp.vec3, c1: wp.vec3):
         for k in range(3):
             gap[k] = wp.max(wp.max(wp.min(a[k], b[k]), -wp.max(a[k], b[k])) - arm.half[k], 0.0)
         return wp.length(gap)
+    if limb == HEAD:
+        return wp.length(from_segment(arm.chin, arm.crown, c0, c1)) - arm.head_radius
     if limb == 1:
         return wp.length(from_segment(arm.shoulder, arm.elbow, c0, c1)) - arm.upper_radius
     return wp.length(from_segment(arm.elbow, arm.wrist, c0, c1)) - arm.lower_radius
@@ -470,6 +499,10 @@ def limb_shape(arm: Arm, limb: int):
     b = wp.where(limb == 0, arm.wrist, arm.elbow)
     shape.kind = CAPSULE
     shape.radius = wp.where(limb == 0, arm.lower_radius, arm.upper_radius)
+    if limb == HEAD:
+        a = arm.chin
+        b = arm.crown
+        shape.radius = arm.head_radius
     shape.size = wp.vec3(shape.radius, 0.5 * wp.length(b - a), 0.0)
     return shape, frame_along(unit(b - a)), 0.5 * (a + b)
 
@@ -479,15 +512,15 @@ def arm_distance(
     world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), arm: Arm,
     cap: float,
 ):  # fmt: skip
-    """Distance (m) of the robot (without the object) from forearm, upper arm and torso, all in the world's hand frame: `cap`
-    at most, 0 where they meet. R, p: the links' frames (`forward_kinematics`)."""
+    """Distance (m) of the robot (without the object) from forearm, upper arm, torso and head, all in the world's hand frame:
+    `cap` at most, 0 where they meet. R, p: the links' frames (`forward_kinematics`)."""
     best = float(cap)
     none = wp.vec3(0.0, 0.0, 0.0)
     for link in range(GRIPPER + 1):
         k = link_frame(link)
         l0 = R[k] * world.link_c0[link] + p[k]
         l1 = R[k] * world.link_c1[link] + p[k]
-        for limb in range(3):
+        for limb in range(HEAD + 1):
             if best > 0.0 and limb_gap(arm, limb, l0, l1) - world.link_radius[link] < best:
                 other, frame, middle = limb_shape(arm, limb)
                 inverse = wp.transpose(frame)
@@ -504,6 +537,30 @@ def arm_distance(
 
 
 @wp.func
+def head_distance(
+    world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), arm: Arm,
+    cap: float,
+):  # fmt: skip
+    """Distance (m) of the head from the object in the gripper, whose hulls are those of planning; as of `arm_distance`."""
+    best = float(cap)
+    none = wp.vec3(0.0, 0.0, 0.0)
+    Rb, pb = body_pose(world, bodies, trial, R, p, world.n_robot)
+    other, frame, middle = limb_shape(arm, HEAD)
+    inverse = wp.transpose(frame)
+    obj = bodies.object[trial]
+    for hull in range(world.hull_first[obj], world.hull_first[obj + 1]):
+        c0 = Rb * world.hull_c0[hull] + pb
+        c1 = Rb * world.hull_c1[hull] + pb
+        if best > 0.0 and limb_gap(arm, HEAD, c0, c1) - world.hull_radius[hull] < best:
+            d = gjk(
+                object_shape(world, hull), inverse * Rb, inverse * (pb - middle), world.points,
+                other, world.points, none, best, 0.0,
+            )  # fmt: skip
+            best = wp.min(best, wp.max(d.lower, 0.0))
+    return best
+
+
+@wp.func
 def into_hand_frame(arm: Arm, R: wp.mat33, p: wp.vec3) -> Arm:
     """The arm in the frame in which the robot's bodies are: `TrialBodies`' R_hand_world, p_hand_world."""
     arm.shoulder = R * arm.shoulder + p
@@ -511,26 +568,29 @@ def into_hand_frame(arm: Arm, R: wp.mat33, p: wp.vec3) -> Arm:
     arm.wrist = R * arm.wrist + p
     arm.torso = R * arm.torso + p
     arm.axes = R * arm.axes
+    arm.chin = R * arm.chin + p
+    arm.crown = R * arm.crown + p
     return arm
 
 
 @wp.kernel
 def arm_clears_robot(
-    first: int, world: World, bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq),
-    trial_in: wp.array(dtype=int), lean_in: wp.array(dtype=float), elbow_in: wp.array(dtype=wp.vec3),
+    first: int, world: World, bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4),
+    q: wp.array(dtype=vecq), trial_in: wp.array(dtype=int), lean_in: wp.array(dtype=float), elbow_in: wp.array(dtype=wp.vec3),
     wrist_in: wp.array(dtype=wp.vec3), clear_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Whether the robot at its goal meets neither arm nor torso of each pair's posture."""
+    """Whether the robot at its goal meets neither arm, torso nor head of each pair's posture, and the object not the head."""
     pair = first + wp.tid()
     trial = trial_in[pair]
     R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
-    arm = leaned(receiver, trial, lean_in[pair])
+    arm = leaned_with_head(receiver, head, trial, lean_in[pair])
     arm.elbow = elbow_in[pair]
     arm.wrist = wrist_in[pair]
     arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
-    clear_out[pair] = arm_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
+    clear = head_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
+    clear_out[pair] = clear and arm_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
 
 
 @wp.kernel
@@ -538,7 +598,7 @@ def way_to_grasp(
     first: int,
     # tables
     world: World, bodies: TrialBodies, gripper: Gripper, hands: PosedHands, grasps: Receiving,
-    receiver: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq), eps: float,
+    receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq), eps: float,
     # pairs
     trial_in: wp.array(dtype=int), row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float),
     way_in: wp.array(dtype=int), object_in: wp.array(dtype=int), attached_in: wp.array(dtype=wp.mat44),
@@ -548,7 +608,8 @@ def way_to_grasp(
     # out
     free_out: wp.array(dtype=wp.bool),
 ):  # fmt: skip
-    """Whether hand and arm come from where they wait to the grasp without meeting gripper and robot.
+    """Whether hand and arm come from where they wait to the grasp without meeting gripper and robot, and the head keeps off the
+    object.
 
     The wrist goes straight to 10 cm before the grasp while the hand turns about one axis, then straight in (`way_direction`);
     elbow, shoulder and lean go in proportion. The hand has the grasp's shape all the way. Certified: with d the distance and L
@@ -571,7 +632,7 @@ def way_to_grasp(
     drive = drive_from_gap(gripper, opening_in[pair])
 
     start = leaned(receiver, trial, 0.0)
-    goal = leaned(receiver, trial, lean_in[pair])
+    goal = leaned_with_head(receiver, head, trial, lean_in[pair])
     goal.elbow = elbow_in[pair]
     target = grasps.wrist[row]
     before = target + WAY_M * way_direction(grasps, row, way_in[pair]) * -1.0
@@ -587,7 +648,10 @@ def way_to_grasp(
         ball = hands.ball[row * hands.n_pieces + piece]
         size = wp.max(size, wp.length(wp.vec3(ball[0], ball[1], ball[2]) - target) + ball[3])
 
-    trunk = wp.radians(lean_in[pair]) * (2.0 * goal.half[2] + wp.length(goal.half))
+    # no point of trunk and head is farther from the hip, about which they turn
+    hip = goal.torso - goal.axes * wp.vec3(0.0, 0.0, goal.half[2])
+    top = wp.max(wp.length(goal.chin - hip), wp.length(goal.crown - hip)) + goal.head_radius
+    trunk = wp.radians(lean_in[pair]) * wp.max(2.0 * goal.half[2] + wp.length(goal.half), top)
     joints = 0.5 * wp.max(wp.max(wp.length(goal.shoulder - start.shoulder), wp.length(goal.elbow - start.elbow)), trunk)
     t = float(0.0)
     free = bool(False)
@@ -602,11 +666,12 @@ def way_to_grasp(
         speed = travel + wp.where(t < 1.0, angle * size, 0.0)
         R_back = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, -turn_left * angle))
         d = gripper_distance(gripper, hands, row, R_ee * R_back, R_ee * (wrist - R_back * target) + p_ee, drive, FAR_M)
-        arm = leaned(receiver, trial, 0.5 * t * lean_in[pair])
+        arm = leaned_with_head(receiver, head, trial, 0.5 * t * lean_in[pair])
         arm.elbow = start.elbow + 0.5 * t * (goal.elbow - start.elbow)
         arm.wrist = R_world * wrist + p_world
         arm = into_hand_frame(arm, R_hand_world, p_hand_world)
         e = arm_distance(world, bodies, trial, links, origins, arm, FAR_M)
+        e = wp.min(e, head_distance(world, bodies, trial, links, origins, arm, FAR_M))
         if d <= eps or e <= 1.0e-4:
             break
         if t >= 2.0:

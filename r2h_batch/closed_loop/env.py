@@ -903,7 +903,9 @@ class HandoverEnv(VectorEnv):
         )
         found = posed.inputs
         assert found is not None
-        reception_scores = reception(replace(posed, q_goal=self.q[rows]).with_inputs(found))
+        assert self._heads is not None  # hands that take have a person
+        at_rest = replace(posed, q_goal=self.q[rows]).with_inputs(found)
+        reception_scores = reception(at_rest, head=self._heads[rows])
         self._finish(rows[~reception_scores.received], End.NOT_RECEIVED, Why.NO_GRASP)
         received = reception_scores.received
         objects = trials.object_index.cpu()

@@ -21,7 +21,7 @@ from torch import Tensor
 
 from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
-from r2h_batch.base.validate import array, check_arguments, instance_of
+from r2h_batch.base.validate import array, check_arguments, instance_of, optional
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.hand_clearance import PosedHand, hand_of_points, hand_points
@@ -29,6 +29,7 @@ from r2h_batch.kernels.judge import reception as kernels
 from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.scene.grasp_tables import gripper_tables
 from r2h_batch.scene.hand import JOINTS, palm_frame
+from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.scene import Scene
 from r2h_batch.scene.tables import MIDDLE_ROOT
 from r2h_batch.trials.holding.capacity import (
@@ -42,8 +43,8 @@ from r2h_batch.types import CRITERIA, ScoreInputs, Scores, Trials
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """Steps that a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear
-of the closed gripper. way: it can come straight from 10 cm away. clear: arm and torso are clear of
-the robot. release: the fingers can open and back off by 10 cm. hold: the hand carries the object
+of the closed gripper. way: it can come straight from 10 cm away. clear: arm, torso and head are clear of
+the robot, and the head of the object. release: the fingers can open and back off by 10 cm. hold: the hand carries the object
 with at most `GRIP_N`, also while it pulls."""
 
 ANGLES = (
@@ -122,13 +123,20 @@ class Reception:
 @check_arguments(
     scores=instance_of(Scores, "what Evaluator.score returns"),
     leans_deg=array("iuf", 1, "leans of the trunk, 0 to 90 degrees", low=0.0, high=90.0),
+    head=optional(instance_of(Tensor, "a torch tensor (B, 2, 4), or None")),
 )
-def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Reception:
+def reception(
+    scores: Scores,
+    *,
+    leans_deg: tuple[float, ...] = LEANS_DEG,
+    head: Float32[Tensor, "b 2 4"] | None = None,
+) -> Reception:
     """Whether each receiver can take the object that was handed over.
 
     Args:
-        scores: what `Evaluator.score` returned for trials with a receiver's arm and torso (as r2h-v2 has).
+        scores: what `Evaluator.score` returned for trials with a receiver's body (as r2h-v2 has).
         leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
+        head: (B, 2, 4) of `scene.person.heads_of`, where the trials' receivers have moved their arms since, m; None: theirs.
 
     Raises:
         TypeError, ValueError: an argument has another type or range, the scores hold no inputs, or the
@@ -145,7 +153,10 @@ def reception(scores: Scores, *, leans_deg: tuple[float, ...] = LEANS_DEG) -> Re
     rows = range(0, max(len(scores), 1), TRIALS_AT_ONCE)
     with inputs.evaluator.working():
         _needed_grasps(inputs.evaluator.scene, inputs.trials)  # of all rows: hands are posed once
-        parts = [_reception(scores[i : i + TRIALS_AT_ONCE], leans_deg) for i in rows]
+        parts = [
+            _reception(scores[part], leans_deg, None if head is None else head[part])
+            for part in (slice(i, i + TRIALS_AT_ONCE) for i in rows)
+        ]
     return Reception(
         **{k: torch.cat([getattr(p, k) for p in parts]) for k in Reception.__dataclass_fields__}
     )
@@ -310,8 +321,8 @@ class _Batch:
         return se3.apply(pair["T_world_obj"], se3.apply(turned, self.grasps.owners[0][row]))
 
 
-def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
-    batch = _batch_of(scores)
+def _reception(scores: Scores, leans_deg: tuple[float, ...], head: Tensor | None) -> Reception:
+    batch = _batch_of(scores, head)
     arms = _arms(batch, leans_deg)
     passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.device)
     passes[..., 0] = arms["effort"] >= 0
@@ -324,7 +335,7 @@ def _reception(scores: Scores, leans_deg: tuple[float, ...]) -> Reception:
     return _result(batch, arms, way, passes.sum(1), chosen)
 
 
-def _batch_of(scores: Scores) -> _Batch:
+def _batch_of(scores: Scores, head: Tensor | None = None) -> _Batch:
     inputs = scores.inputs
     assert isinstance(inputs, ScoreInputs)
     evaluator, trials = inputs.evaluator, inputs.trials
@@ -362,6 +373,7 @@ def _batch_of(scores: Scores) -> _Batch:
             "world": scene.world,
             "bodies": poses.bodies,
             "receiver": receiver.contiguous(),
+            "head": (heads_of(receiver) if head is None else head).contiguous(),
             "q": scores.q_goal.nan_to_num(nan=0.0).contiguous(),
         },
         evaluated,

@@ -173,7 +173,7 @@ def test_a_reception_is_right_and_one_that_lies_is_noticed(handed_over, monkeypa
         "upper arm, m": replace(found, elbow=found.elbow + 0.01),
         "held beside where it closes, m": replace(found, T_obj_ee=farther),
         "counts fall": replace(found, count=found.count.flip(1) - torch.arange(6, dtype=torch.int16)),
-        "arm and torso to robot, m": replace(found, elbow=scores.inputs.T_world_ee[:, :3, 3]),
+        "body to robot, and head to object, m": replace(found, elbow=scores.inputs.T_world_ee[:, :3, 3]),
     }
     for noticed, lie in lies.items():
         assert noticed in {f.name for f in reception_of(twin, lie, 0) if not f.holds}, noticed
@@ -181,7 +181,7 @@ def test_a_reception_is_right_and_one_that_lies_is_noticed(handed_over, monkeypa
     deep = twin.receiver.copy()
     deep[4, 0] = 1.0  # a torso that reaches through the robot
     monkeypatch.setattr(twin, "receiver", deep)
-    assert {f.name for f in reception_of(twin, found, 0) if not f.holds} == {"arm and torso to robot, m"}
+    assert {f.name for f in reception_of(twin, found, 0) if not f.holds} == {"body to robot, and head to object, m"}
 
 
 @pytest.mark.slow

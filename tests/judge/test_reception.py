@@ -9,6 +9,7 @@ import pytest
 import torch
 import warp as wp
 from fcl_twin import distance, hull, primitive
+from oracle import head_of
 from rounds import each
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
@@ -25,6 +26,7 @@ from r2h_batch.kernels.receiver.grasps import Receiving
 from r2h_batch.methods import oracle
 from r2h_batch.scene.hand import HandModel
 from r2h_batch.scene.objects import load_objects
+from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
 from r2h_batch.trials.draw.receivers import arm_axes
 from r2h_batch.trials.holding import held_out
@@ -215,15 +217,17 @@ def gap_to_gripper(batch, trial, row, turn, opening, shift=(0, 0, 0)):
 
 
 def arm_bodies(receiver, lean_deg, elbow, wrist, shoulder=None):
-    """Forearm, upper arm and torso in the world; the shoulder of that lean unless it is given."""
+    """Forearm, upper arm, torso and head in the world; the shoulder of that lean unless it is given."""
     body = receiver.double().numpy()
     ahead, up = np.array([body[3, 3], body[4, 3], 0.0]), np.array([0, 0, 1.0])
     left = np.cross(up, ahead)
     lean = Rotation.from_rotvec(np.radians(lean_deg) * left)
     hip = body[3, :3] - body[4, 2] * up
     shoulder = hip + lean.apply(body[0, :3] - hip) if shoulder is None else shoulder
+    low, high, radius = head_of(body)
+    low, high = (hip + lean.apply(x - hip) for x in (low, high))
     arm = []
-    for a, b, r in ((elbow, wrist, body[1, 3]), (shoulder, elbow, body[0, 3])):
+    for a, b, r in ((elbow, wrist, body[1, 3]), (shoulder, elbow, body[0, 3]), (low, high, radius)):
         z = (b - a) / np.linalg.norm(b - a)
         x = np.cross([0, 1.0, 0] if abs(z[0]) > 0.7 else [1.0, 0, 0], z)
         x /= np.linalg.norm(x)
@@ -233,16 +237,20 @@ def arm_bodies(receiver, lean_deg, elbow, wrist, shoulder=None):
     T = np.eye(4)
     T[:3, :3] = lean.as_matrix() @ np.stack([ahead, left, up], 1)
     T[:3, 3] = hip + lean.apply(body[4, 2] * up)
-    return [*arm, primitive(ShapeKind.BOX, body[4, :3], T)]
+    return [*arm[:2], primitive(ShapeKind.BOX, body[4, :3], T), arm[2]]
 
 
 def gap_to_robot(batch, trial, q, arm):
-    """Least distance of the robot's primitives at posture q to an arm's bodies."""
+    """Least distance of the robot's primitives at posture q to a person's bodies, and of the object to the head."""
     robot = evaluator().scene.robot
     T = forward_kinematics(robot, q)[robot.arm.link] @ robot.arm.T_link_prim
     links = [primitive(*body) for body in zip(robot.arm.kind, robot.arm.size, T, strict=True)]
     opening = float(batch.of_trial["opening"][trial])
-    return least(links + gripper_bodies(batch, trial, opening, ee_pose(robot, q)), arm)
+    T_ee = ee_pose(robot, q)
+    T_obj = T_ee @ np.linalg.inv(batch.of_trial["attached"][trial].double().numpy())
+    model = evaluator().scene.objects[int(batch.of_trial["object"][trial])]
+    held = hull(model.vertices.astype(np.float64) @ T_obj[:3, :3].T + T_obj[:3, 3])
+    return min(least(links + gripper_bodies(batch, trial, opening, T_ee), arm), distance(held, arm[-1]))
 
 
 def some(mask, n, seed=0):
@@ -397,7 +405,7 @@ def test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_t
 
 
 def test_arms_that_only_the_torso_keeps_off_the_robot_are_as_fcl_says(scores, steps):
-    """The torso is moved to the robot's links; forearm and upper arm are far away."""
+    """The torso, and with it the head, is moved to the robot's links; forearm and upper arm are far away."""
     batch, _, _, _ = steps
     robot, rng, found = evaluator().scene.robot, np.random.default_rng(4), []
     receiver = batch.robot["receiver"].clone()
@@ -407,7 +415,9 @@ def test_arms_that_only_the_torso_keeps_off_the_robot_are_as_fcl_says(scores, st
         receiver[i, 3, :3] = torch.from_numpy(place).float()
     far = torch.tensor([[5.0, 0.0, 1.0]]).repeat(len(receiver), 1)
     receiver[:, 0, :3] = far + torch.tensor([0.0, 0.3, 0.3])
-    inputs = batch.robot | {"receiver": receiver, "trial": torch.arange(len(receiver), dtype=torch.int32)}
+    receiver[:, 1, :3] = far + torch.tensor([0.0, 0.3, 0.0])
+    moved = {"receiver": receiver, "head": heads_of(receiver)}
+    inputs = batch.robot | moved | {"trial": torch.arange(len(receiver), dtype=torch.int32)}
     made = judge._launch(
         batch, kernels.arm_clears_robot, len(receiver), **inputs, lean=torch.zeros(len(receiver)),
         elbow=far, wrist=far + torch.tensor([0.3, 0.0, 0.0]),
@@ -440,6 +450,8 @@ def test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is(steps):
     wider = batch.robot["receiver"].clone()
     wider[:, :2, 3] += 0.006
     wider[:, 4, :2] += 0.006
+    larger = batch.robot["head"].clone()
+    larger[:, :, 3] += 0.006
     free = torch.ones(n, dtype=torch.bool)
     nearly, no_turn = free.clone(), torch.zeros(n)
     for t in rooms:
@@ -452,12 +464,100 @@ def test_whole_ways_are_free_where_every_sample_of_hand_and_arm_is(steps):
         elbow = elbow + 0.5 * t * (pair["elbow"] - elbow)
         world = np.einsum("nij,nj->ni", T_world[:, :3, :3], at) + T_world[:, :3, 3]
         posture = {"trial": pair["trial"], "lean": lean, "elbow": elbow, "wrist": torch.from_numpy(world).float()}
-        for state, room_m, person in ((free, 1e-6, batch.robot["receiver"]), (nearly, 0.012, wider)):
+        persons = (free, 1e-6, batch.robot["receiver"], batch.robot["head"]), (nearly, 0.012, wider, larger)
+        for state, room_m, person, head in persons:
             state &= beside_gripper(batch, pair, room_m, attached=attached, turn=no_turn)
-            inputs = batch.robot | {"receiver": person}
+            inputs = batch.robot | {"receiver": person, "head": head}
             state &= judge._launch(batch, kernels.arm_clears_robot, n, **inputs, **posture)["clear"]
     assert free[made].all() and not nearly[~made].any()
     assert made.sum() > 20 and (~made).sum() > 5
+
+
+def heads_at(batch, trial, lean_deg, x, radius):
+    """Upright heads (n, 2, 4) whose middles are at x (n, 3) when the trunks of trials lean; 4 cm long, m."""
+    receiver = batch["receiver"][trial].double().numpy()
+    heads = np.zeros((len(trial), 2, 4))
+    for i, (body, lean) in enumerate(zip(receiver, np.asarray(lean_deg), strict=True)):
+        hip = body[3, :3] - [0, 0, body[4, 2]]
+        back = Rotation.from_rotvec(-np.radians(lean) * np.cross([0, 0, 1.0], [body[3, 3], body[4, 3], 0.0]))
+        heads[i, :, :3] = hip + back.apply(x[i] - hip) + [[0, 0, -0.02], [0, 0, 0.02]]
+    heads[:, :, 3] = radius
+    return torch.from_numpy(heads).float()
+
+
+def test_robot_and_object_are_clear_of_the_leaned_head_as_fcl_says(scores, steps):
+    """Heads beside links and objects, and nothing else of the person anywhere near."""
+    batch, _, _, _ = steps
+    robot, rng, found = evaluator().scene.robot, np.random.default_rng(5), []
+    rows = torch.nonzero(batch.evaluated).flatten()
+    n, q = len(rows), scores.q_goal[rows].double().numpy()
+    lean = torch.from_numpy(rng.uniform(5, 30, n)).float()
+    receiver = batch.robot["receiver"].clone()
+    receiver[:, :, 2] += 5.0 * torch.tensor([1.0, 1.0, 1.0, 1.0, 0.0])
+    links, T_obj = forward_kinematics(robot, q), batch.of_trial["T_world_obj"][rows].double().numpy()
+    x = np.where((np.arange(n) % 2)[:, None], T_obj[:, :3, 3], links[np.arange(n), rng.integers(1, 7, n), :3, 3])
+    x += rng.uniform(-0.2, 0.2, (n, 3))
+    head = torch.zeros(len(receiver), 2, 4)
+    head[rows] = heads_at({"receiver": receiver}, rows, lean, x, 0.05)
+    far = torch.tensor([[5.0, 0.0, 1.0]]).repeat(n, 1)
+    inputs = batch.robot | {"receiver": receiver, "head": head, "trial": rows.to(torch.int32), "lean": lean}
+    made = judge._launch(
+        batch, kernels.arm_clears_robot, n, **inputs, elbow=far, wrist=far + torch.tensor([0.3, 0.0, 0.0])
+    )["clear"]
+    for i, row in enumerate(each(rows.tolist())):
+        place = np.eye(4)
+        turn = Rotation.from_rotvec(
+            np.radians(float(lean[i])) * np.cross([0, 0, 1.0], [*receiver[row, 3:, 3].double().tolist(), 0.0])
+        )
+        place[:3, :3], place[:3, 3] = turn.as_matrix(), x[i]
+        gap = gap_to_robot(batch, row, q[i], [primitive(ShapeKind.CAPSULE, [0.05, 0.02], place)])
+        found.append((bool(made[i]), bool(i % 2)))
+        assert gap > -2e-5 if made[i] else gap < 2e-5, (row, gap)
+    for near in each((False, True)):  # beside links, beside objects
+        assert 1 < sum(clear for clear, of in found if of == near) < sum(of == near for _, of in found) - 1
+
+
+def test_no_head_is_passed_by_between_two_steps_of_a_way(scores, steps):
+    """Heads 2 m from the hips about which they lean, and links that they pass on the way: at samples, and as certified."""
+    batch, arms, passes, way = steps
+    trial, k, pair = pairs_of(batch, arms, passes[..., :3].all(2), 120)
+    pair["way"], n, rng = way[trial, k], len(trial), np.random.default_rng(7)
+    pair["lean"] = torch.full((n,), 30.0)
+    # one row a pair: its own person, whose trunk is small and far behind
+    rows = torch.arange(n, dtype=torch.int32)
+    receiver = batch.robot["receiver"][trial].clone()
+    facing = torch.stack([receiver[:, 3, 3], receiver[:, 4, 3], torch.zeros(n)], 1)
+    hip = receiver[:, 3, :3] - 2.5 * facing
+    receiver[:, 0, :3], receiver[:, 3, :3], receiver[:, 4, :3] = hip, hip, 0.05
+    hands = scores.inputs.trials.hand_index[trial]
+    bodies = evaluator().scene.body_poses(
+        pair["object"], hands, pair["attached"], pair["T_world_hand"], pair["opening"]
+    )
+    q = batch.robot["q"][trial].contiguous()
+    own = {"world": batch.robot["world"], "bodies": bodies.bodies, "receiver": receiver, "q": q}
+    links = forward_kinematics(evaluator().scene.robot, q.double().numpy())
+    x = links[np.arange(n), rng.integers(2, 6, n), :3, 3]
+    share = rng.uniform(0.6, 0.9, n)  # of the lean where it is met: on the last, slow part of the way
+    pair["trial"] = rows
+
+    def free(head):
+        return judge._launch(batch, kernels.way_to_grasp, n, **batch.tables, **own, head=head, **pair)["free"]
+
+    nowhere = heads_at(own, torch.arange(n), torch.zeros(n), hip.double().numpy(), 0.01)
+    head = heads_at(own, torch.arange(n), 30.0 * share, x, 0.01)
+    made, alone = free(head), free(nowhere)
+    sampled = torch.ones(n, dtype=torch.bool)
+    wrist = batch.wrists(pair).contiguous()
+    for t in np.linspace(0, 2, 400):
+        lean, elbow = 0.5 * t * pair["lean"], receiver[:, 1, :3] + 0.5 * t * (pair["elbow"] - receiver[:, 1, :3])
+        posture = {"trial": rows, "lean": lean.contiguous(), "elbow": elbow.contiguous(), "wrist": wrist}
+        clear, rest = (
+            judge._launch(batch, kernels.arm_clears_robot, n, **own, head=of, **posture)["clear"]
+            for of in (head, nowhere)
+        )
+        sampled &= clear | ~rest  # what else of the person meets the robot is not asked: the wrist is not there yet
+    assert not (made & ~sampled).any()
+    assert (alone & ~sampled).sum() > 20
 
 
 def test_every_second_grasp_of_an_object_of_revolution_is_turned_to_where_the_hand_turns_least(steps):

@@ -13,7 +13,7 @@ import torch
 from convex_twin import bodies, convex_distance
 from judge_twin import TOLERANCE_M, Again, Finding, rigid
 from numpy.typing import ArrayLike, NDArray
-from oracle import CLASSES
+from oracle import CLASSES, head_of
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -39,8 +39,8 @@ def apart(kinds: ArrayLike, sizes: ArrayLike, places: Array, hulls: Sequence[Arr
     return float(convex_distance(a, b)[1].min())
 
 
-def leaned(receiver: Array, lean_deg: float, elbow: Array, wrist: Array) -> tuple[Array, Array]:
-    """The receiver (5, 4) who leans with the arm there, and T_world of the torso's box."""
+def leaned(receiver: Array, lean_deg: float, elbow: Array, wrist: Array) -> tuple[Array, Array, Array]:
+    """The receiver (5, 4) who leans with the arm there, T_world of the torso's box, and the ends (2, 3) of the head."""
     ahead = np.array([receiver[3, 3], receiver[4, 3], 0.0])
     lean = Rotation.from_rotvec(np.radians(lean_deg) * np.cross(UP, ahead))
     hip = receiver[3, :3] - receiver[4, 2] * UP
@@ -49,7 +49,7 @@ def leaned(receiver: Array, lean_deg: float, elbow: Array, wrist: Array) -> tupl
     T = np.eye(4)
     T[:3, :3] = lean.as_matrix() @ np.stack([ahead, np.cross(UP, ahead), UP], 1)
     T[:3, 3] = hip + lean.apply(receiver[4, 2] * UP)
-    return body, T
+    return body, T, hip + lean.apply(np.stack(head_of(receiver)[:2]) - hip)
 
 
 def capsule(a: Array, b: Array) -> Array:
@@ -106,7 +106,7 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     yield Finding("hand to gripper, m", ROOM_M, gap, "fact", wrong=gap < ROOM_M - ROUNDED_M)
 
     angles, elbow = found.angles_deg[index].double().numpy(), found.elbow[index].double().numpy()
-    body, T_torso = leaned(receiver, float(angles[-1]), elbow, joints[0])
+    body, T_torso, head = leaned(receiver, float(angles[-1]), elbow, joints[0])
     for name, a, b in (("upper arm, m", 0, 1), ("forearm, m", 1, 2)):
         was, now = (float(np.linalg.norm(x[a, :3] - x[b, :3])) for x in (receiver, body))
         yield Finding(name, was, now, "fact", wrong=abs(was - now) > TOLERANCE_M)
@@ -126,7 +126,7 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     kinds, sizes, places, hulls = again.true.primitives(links)
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * 3)).reshape(3, -1).T * body[4, :3]
     arm = [(ShapeKind.CAPSULE, [r, np.linalg.norm(b - a) / 2, 0.0], capsule(a, b)) for a, b, r in (
-        (body[0, :3], elbow, body[0, 3]), (elbow, joints[0], body[1, 3]))]  # fmt: skip
+        (body[0, :3], elbow, body[0, 3]), (elbow, joints[0], body[1, 3]), (*head, head_of(receiver)[2]))]  # fmt: skip
     torso = corners @ T_torso[:3, :3].T + T_torso[:3, 3]
     gaps = [apart(kinds, sizes, places, [torso])] if len(kinds) else []
     for kind, size, T_arm in arm:
@@ -137,8 +137,11 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
             ]
             gaps.append(float(convex_distance(*pair)[1][0]))
         gaps += [apart([kind], [size], T_arm[None], [h]) for h in hulls]
+    held = np.asarray(scene.objects[here].vertices, np.float64) @ T_world_obj[:3, :3].T + T_world_obj[:3, 3]
+    kind, size, T_head = arm[-1]
+    gaps.append(apart([kind], [size], T_head[None], [held]))
     # where cores without a radius meet, their distance is 0 up to rounding
-    yield Finding("arm and torso to robot, m", 0.0, min(gaps), "fact", wrong=min(gaps) < 1e-9)
+    yield Finding("body to robot, and head to object, m", 0.0, min(gaps), "fact", wrong=min(gaps) < 1e-9)
 
 
 def episode_of(again: Again, env: Any, index: int) -> Iterator[Finding]:
