@@ -29,6 +29,7 @@ from r2h_batch.judge.distance import hand_distance_at
 from r2h_batch.methods import oracle as oracle_method
 from r2h_batch.methods import random as random_method
 from r2h_batch.scene.hand import make_hand_set
+from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
@@ -598,10 +599,18 @@ def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_
     found, rows_of = [], []
     offer, look = envs.HandoverEnv._offer, envs.reception
     monkeypatch.setattr(envs.HandoverEnv, "_offer", lambda env, rows: (rows_of.append(rows), offer(env, rows)))
-    monkeypatch.setattr(envs, "reception", lambda s: found.append(look(s)) or found[-1])
+    heads = []
+
+    def looked(scores, *, head):
+        heads.append((rows_of[-1], head))
+        return found.append(look(scores, head=head)) or found[-1]
+
+    monkeypatch.setattr(envs, "reception", looked)
     env, e = played(scores[scores.success], "planned", "takes")
     won = e.end == int(End.SUCCESS)
     assert won.sum() >= 4 and (e.overlap_m[won] == 0).all()
+    for rows, head in each(heads):  # where it was when the trial began, to the bit
+        assert torch.equal(head, heads_of(env.trials.receiver)[rows])
     early, others = 0, 0
     held_out = load_held_out(env.scene.objects, env.scene.hands.model)
     grasps = held_out.grasps
