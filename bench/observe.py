@@ -60,7 +60,7 @@ class Peers:
         world.add_geom(name="table", type=G.mjGEOM_BOX, pos=place.table_center, size=place.table_half)
         for name, mesh in (("robot", "robot"), ("object", f"o{objects[0]}"), ("hand", f"h{hands[0]}")):
             world.add_geom(name=name, type=G.mjGEOM_MESH, meshname=mesh)
-        for name in ("forearm", "upper_arm"):
+        for name in ("forearm", "upper_arm", "head"):
             world.add_geom(name=name, type=G.mjGEOM_CAPSULE, size=[0.05, 0.1, 0])
         world.add_geom(name="torso", type=G.mjGEOM_BOX, size=[0.1, 0.1, 0.1])
         camera = world.add_camera(name="left", fovy=HEIGHT_DEG, pos=self.T_camera[:3, 3])
@@ -104,8 +104,11 @@ class Peers:
         ):
             mesh[self.geom[name]], M = self._own(own)
             X[self.geom[name]] = T @ M
+        from r2h_batch.scene.person import heads_of
+
         s, e, w, m, half = self.trials.receiver[i].double().numpy()
-        for name, a, b, radius in (("forearm", e, w, e[3]), ("upper_arm", s, e, s[3])):
+        low, high = heads_of(self.trials.receiver[i : i + 1])[0].double().numpy()
+        for name, a, b, radius in (("forearm", e, w, e[3]), ("upper_arm", s, e, s[3]), ("head", low, high, low[3])):
             z = b[:3] - a[:3]
             length = np.linalg.norm(z)
             z = z / length

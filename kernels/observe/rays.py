@@ -1,7 +1,7 @@
 """Depth, labels and how a surface faces the ray, by rays on the meshes of a scene; which body a point is near to.
 
-The bodies of a trial: table (box), robot at home (one mesh), object and hand (a mesh each), forearm and upper arm (capsules),
-torso (a box that stands upright). Frames: world, object, hand. Labels: `LABELS` of observe/seen.py.
+The bodies of a trial: table (box), robot at home (one mesh), object and hand (a mesh each), forearm, upper arm and head
+(capsules), torso (a box that stands upright). Frames: world, object, hand. Labels: `LABELS` of observe/seen.py.
 """
 
 import warp as wp
@@ -18,6 +18,7 @@ HAND = wp.constant(4)
 FOREARM = wp.constant(5)
 UPPER_ARM = wp.constant(6)
 TORSO = wp.constant(7)
+HEAD = wp.constant(8)
 TILES = wp.constant(16)
 CELL = wp.constant(2)  # rays of a cell each way
 FACES = wp.constant(64)  # of a mesh that a thread looks at
@@ -36,7 +37,7 @@ class Bodies:
     object_ball: wp.array(dtype=wp.vec4)
     hand_mesh: wp.array(dtype=wp.uint64)
     hand_ball: wp.array(dtype=wp.vec4)
-    person: wp.int32  # whether trials have an arm and a torso
+    person: wp.int32  # whether trials have a person
 
 
 @wp.func
@@ -287,6 +288,7 @@ def cast(
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
     receiver_in: wp.array2d(dtype=wp.vec4),  # (n, 5) `Trials.receiver`
+    head_in: wp.array2d(dtype=wp.vec4),  # (n, 2) `heads_of`
     known: int,  # whether the next three are there, of each pixel of the sensors (`background`); stride 1
     fixed_t_in: wp.array2d(dtype=float), fixed_label_in: wp.array2d(dtype=wp.uint8), fixed_facing_in: wp.array2d(dtype=float),
     depth_out: wp.array2d(dtype=float), label_out: wp.array2d(dtype=wp.uint8), facing_out: wp.array2d(dtype=float),
@@ -368,6 +370,14 @@ def cast(
                 best = t
                 what = TORSO
                 facing = box_facing(from_middle + t * ahead, ahead, half)
+        if here >> HEAD & 1 == 1:
+            chin = first_three(head_in[i, 0])
+            crown = first_three(head_in[i, 1])
+            t = capsule_hit(o, d, chin, crown, head_in[i, 0][3])
+            if t < best:
+                best = t
+                what = HEAD
+                facing = capsule_facing(o + t * d, d, chin, crown, head_in[i, 0][3])
         if what > 0:
             depth_out[i, p] = best * scale
             label_out[i, p] = wp.uint8(what)
@@ -405,7 +415,7 @@ def near(
     bodies: Bodies,
     object_in: wp.array(dtype=int), T_world_obj_in: wp.array(dtype=wp.mat44),
     hand_in: wp.array(dtype=int), T_world_hand_in: wp.array(dtype=wp.mat44),
-    receiver_in: wp.array2d(dtype=wp.vec4),
+    receiver_in: wp.array2d(dtype=wp.vec4), head_in: wp.array2d(dtype=wp.vec4),
     points_in: wp.array2d(dtype=wp.vec3),  # (n, k) world
     label_out: wp.array2d(dtype=wp.uint8),
 ):  # fmt: skip
@@ -435,4 +445,6 @@ def near(
         from_middle = upright(p - first_three(receiver_in[i, 3]), receiver_in[i, 3][3], receiver_in[i, 4][3])
         if to_box(from_middle, first_three(receiver_in[i, 4])) <= within:
             found = TORSO
+        if to_capsule(p, first_three(head_in[i, 0]), first_three(head_in[i, 1]), head_in[i, 0][3]) <= within:
+            found = HEAD
     label_out[i, j] = wp.uint8(found)

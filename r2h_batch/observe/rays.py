@@ -17,6 +17,7 @@ from r2h_batch.base.launch import over_trials
 from r2h_batch.kernels.observe import rays as kernels
 from r2h_batch.observe.robot_mesh import robot_at_home
 from r2h_batch.observe.seen import LABELS
+from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -121,6 +122,7 @@ class Bodies:
             "hand": trials.hand_index.contiguous(),
             "T_world_hand": trials.T_world_hand.contiguous(),
             "receiver": receiver.contiguous(),
+            "head": heads_of(receiver),
         }
 
     def near(
@@ -196,6 +198,10 @@ class Bodies:
                 mark(label, middles, size[:, None].expand(-1, PIECES))
             size = se3.dot(half[:, :3], half[:, :3]).sqrt()
             mark("torso", middle[:, None, :3], size[:, None])
+            ends = heads_of(body).double().to(device)
+            along = (ends[:, 1] - ends[:, 0])[:, :3]
+            size = 0.5 * se3.dot(along, along).sqrt() + ends[:, 0, 3]
+            mark("head", ends.mean(1, keepdim=True)[..., :3], size[:, None])
         return found
 
     def _covered(

@@ -14,7 +14,7 @@ from torch import Tensor
 from r2h_batch.base import rng
 from r2h_batch.base.validate import check_arguments, integer, one_of
 
-LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso")
+LABELS = ("nothing", "table", "robot", "object", "hand", "forearm", "upper_arm", "torso", "head")
 """Things that a pixel can show, by its label."""
 T = TypeVar("T")
 

@@ -22,7 +22,17 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 from r2h_batch.view.stored import Reader
 
-COLORS = ("#e9edf1", "#cdc6b8", "#747a82", "#2a70b2", "#dead8e", "#8fbf8f", "#5e9e6e", "#3f7d55")
+COLORS = (
+    "#e9edf1",
+    "#cdc6b8",
+    "#747a82",
+    "#2a70b2",
+    "#dead8e",
+    "#8fbf8f",
+    "#5e9e6e",
+    "#3f7d55",
+    "#c98f8f",
+)
 """One for each of `LABELS`."""
 BEYOND_M = 0.06
 """Depth that a window shows behind what it is about."""

@@ -27,6 +27,7 @@ from r2h_batch.observe.robot_mesh import robot_at_home
 from r2h_batch.observe.seen import packed
 from r2h_batch.observe.windows import middles, window_corners
 from r2h_batch.scene import load_robot
+from r2h_batch.scene.person import heads_of
 from r2h_batch.types import Trials
 
 
@@ -299,6 +300,10 @@ def test_a_point_near_a_body_is_found_and_one_beyond_is_not():
     shoulder = trials.receiver[:, 0, :3]
     found = bodies_of(scene).near(trials, T, shoulder[:, None], within_m=0.01, resting=True)
     assert (found > 4).all()
+    top = heads_of(trials.receiver)[:, 1]
+    above = top[:, None, :3] + torch.tensor([[0.0, 0.0, 0.009], [0.0, 0.0, 0.012]]) + top[:, None, 3:] * torch.eye(3)[2]
+    found = bodies_of(scene).near(trials, T, above, within_m=0.01, resting=True)
+    assert (found == torch.tensor([LABELS.index("head"), 0])).all()
 
 
 def test_clouds_lie_on_the_surface_of_the_object_and_of_the_hand():

@@ -17,6 +17,7 @@ from r2h_batch.observe.rays import bodies_of
 from r2h_batch.observe.rig import CELL_V1, Sensor
 from r2h_batch.observe.sensor import Errors
 from r2h_batch.observe.windows import middles, window_corners
+from r2h_batch.scene.person import heads_of
 
 PLACE, FATE, STEREO, MASK = range(4)
 
@@ -170,7 +171,7 @@ def test_the_angle_to_the_surface_is_that_of_float64_rays():
     assert met > 5
 
 
-def test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do():
+def test_arm_torso_and_head_face_the_ray_as_a_ball_and_a_box_do():
     scene, trials, T = cell()
     corner = torch.zeros((len(trials), 1, 2), dtype=torch.int32)
     depth, label, facing = bodies_of(scene).cast(
@@ -178,7 +179,7 @@ def test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do():
         columns=320, rows=180, stride=4,
     )  # fmt: skip
     T_camera = RIG.T_world_camera[0].double().numpy()
-    for name in each(("forearm", "upper_arm", "torso")):
+    for name in each(("forearm", "upper_arm", "torso", "head")):
         i, _, v, u = (label == LABELS.index(name)).nonzero()[::200].T.numpy()
         ray = np.stack([(4 * u + 2 - 640) / RIG.focal_px, (4 * v + 2 - 360) / RIG.focal_px, np.ones(len(u))], 1)
         p = (ray * depth[i, 0, v, u].double().numpy()[:, None]) @ T_camera[:3, :3].T + T_camera[:3, 3]
@@ -191,7 +192,8 @@ def test_arm_and_torso_face_the_ray_as_a_ball_and_a_box_do():
             side = np.abs(np.abs(flat) - half[:, :3]).argmin(1)
             expected = np.abs(ahead[np.arange(len(side)), side])
         else:
-            a, b = (e, w) if name == "forearm" else (s, e)
+            ends = heads_of(trials.receiver)[i].double().numpy().transpose(1, 0, 2)
+            a, b = {"forearm": (e, w), "upper_arm": (s, e), "head": ends}[name]
             along = b[:, :3] - a[:, :3]
             t = np.clip(((p - a[:, :3]) * along).sum(1) / (along * along).sum(1), 0, 1)
             n = p - a[:, :3] - t[:, None] * along

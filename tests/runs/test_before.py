@@ -90,6 +90,11 @@ def test_hands_alone_are_judged_as_before_and_body_m_says_whose_it_is(tmp_path, 
     assert not capsys.readouterr().err
     (note,) = common_trials([old, new]).notes
     assert note.startswith("body_m of old is of arm and torso alone")
+    digests = {"digests": {"trials": "0123456789abcdef", "sees": "cameras"}}  # which see a head since
+    old = write_run(tmp_path / "old sees", outcomes, 6, 6, **digests)
+    new = write_run(tmp_path / "new sees", outcomes, 6, 6, person=new.header["person"], **digests)
+    with pytest.raises(ValueError, match="the receivers of old sees have no head"):
+        common_trials([old, new])
 
 
 def test_rows_that_failed_there_keep_their_outcome_and_count_as_failures(run, method):

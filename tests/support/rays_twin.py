@@ -4,6 +4,7 @@ from functools import cache
 
 import mujoco
 import numpy as np
+from oracle import head_of
 from problems import default_evaluator
 
 from r2h_batch import load_benchmark
@@ -98,7 +99,7 @@ def march(origin, direction, distance, far=4.0):
 
 
 def person_parts(receiver):
-    """Label -> distance function of arm and torso (float64)."""
+    """Label -> distance function of arm, torso and head (float64)."""
     s, e, w, m, half = receiver.astype(np.float64)
 
     def capsule(a, b, r):
@@ -113,7 +114,8 @@ def person_parts(receiver):
     def torso(x):
         return np.linalg.norm(np.maximum(np.abs(axes @ (x - m[:3])) - half[:3], 0))
 
-    return {"forearm": capsule(e[:3], w[:3], e[3]), "upper_arm": capsule(s[:3], e[:3], s[3]), "torso": torso}
+    arm = {"forearm": capsule(e[:3], w[:3], e[3]), "upper_arm": capsule(s[:3], e[:3], s[3])}
+    return {**arm, "torso": torso, "head": capsule(*head_of(receiver.astype(np.float64)))}
 
 
 def expected(scene, trials, T_world_obj, i, K, T_world_camera, column, row):
@@ -134,7 +136,7 @@ def expected(scene, trials, T_world_obj, i, K, T_world_camera, column, row):
 
 
 def depth_of_bodies(receiver, table, eye, rays):
-    """Depths by label of table, arm and torso in closed form, float64; inf: nothing.
+    """Depths by label of table, arm, torso and head in closed form, float64; inf: nothing.
 
     Args:
         receiver: (5, 4) a row of `Trials.receiver`.
@@ -151,6 +153,7 @@ def depth_of_bodies(receiver, table, eye, rays):
             "forearm": _capsule(eye, rays, e[:3], w[:3], e[3]),
             "upper_arm": _capsule(eye, rays, s[:3], e[:3], s[3]),
             "torso": _box(turn @ (eye - m[:3]), rays @ turn.T, half[:3]),
+            "head": _capsule(eye, rays, *head_of(receiver.astype(np.float64))),
         }
 
 

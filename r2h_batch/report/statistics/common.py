@@ -148,7 +148,8 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         return criteria[0]
     if left["digests"].get("sees") != right["digests"].get("sees"):
         return f"what their methods see ({seeing(left)}, {seeing(right)})"
-    if has_head(left) != has_head(right) and left["configuration"].get("receiver") == "body":
+    counts = left["configuration"].get("receiver") == "body" or "sees" in left["digests"]
+    if has_head(left) != has_head(right) and counts:
         bare = b if has_head(left) else a
         return f"what a person is made of (the receivers of {bare.folder.name} have no head)"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
