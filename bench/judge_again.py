@@ -44,7 +44,6 @@ from r2h_batch.methods.predictors import PredictorNoise
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results.judge import Judge
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.noise import estimated_hand
 
 TOLERANCE_M = 1e-4
@@ -173,7 +172,7 @@ def judge_set(name: str, flags: list[str], folder: Path, meshes: Path, trials: i
     if code:
         raise SystemExit(code)
     run = load_run(folder)
-    judge = Judge(run, given=BenchmarkChoice(objects=str(meshes)) if own else None)
+    judge = Judge(run)
     rows, tallies = 0, dict[str, Tally]()
     for method in run.methods:
         for which, findings in judged(name, judge, rows_of(run, method)):

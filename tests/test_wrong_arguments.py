@@ -15,7 +15,7 @@ from made_runs import write_run
 from problems import default_evaluator, make_batch
 
 from r2h_batch import Benchmark, EvalConfig, Evaluator, Predictions, Scene, load_benchmark, reward, show
-from r2h_batch.base.errors import UsageError
+from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.soft import soft_success
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.config import EstimateConfig, ExecConfig, ExecutionError, IkConfig, PlanConfig, Thresholds, Workplace
@@ -24,7 +24,6 @@ from r2h_batch.methods.ranker.observe import Seen
 from r2h_batch.report.statistics import aggregate, paired
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.thresholds import rank_stability, rethreshold
-from r2h_batch.runs.files import RunError
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.options import parse
 from r2h_batch.sweep.request import requested
@@ -118,7 +117,7 @@ CALLS = {
         lambda tmp: {"run": _run(tmp), "reach_radius_m": [0.1], "w_max_m": [0.08], "safe_margin_m": [0.0]},
     ),
     "rank_stability": (rank_stability, lambda tmp: {"points": rethreshold(_run(tmp), reach_radius_m=[0.1]), "methods": ["a"]}),
-    "Judge": (Judge, lambda tmp: {"run": _run(tmp), "given": None}),
+    "Judge": (Judge, lambda tmp: {"run": _run(tmp), "code": ()}),
     "reevaluate": (reevaluate, lambda tmp: {"run": _run(tmp), "method": "a", "n": 2, "judge": _Judge(), "seed": 0}),
     "EvalConfig.preset": (EvalConfig.preset, lambda _: {"name": "paper"}),
     **{c.__name__: (c, lambda _, c=c: {f: getattr(c(), f) for f in c.__dataclass_fields__})
@@ -182,8 +181,8 @@ def raw(call, name, values, arguments) -> list[str]:
             continue
         except (TypeError, ValueError, IndexError, KeyError) as error:
             said = str(error)
-            if isinstance(error, RunError) and name == "given":
-                continue  # what was given is right, and the run of another protocol
+            if isinstance(error, FileError) and name == "code":
+                continue  # the words are right, and the run is of another protocol
             named = re.search(rf"\b{re.escape(name.removesuffix('s'))}s?\b", said) or said.startswith(
                 f"{value}: "
             )  # a path

@@ -5,6 +5,24 @@ Who looks up a name that is unknown asks here too, so that an old command line i
 
 _NOBODY = "nobody simulates how the object is taken; `results reception RUN` says whether the person can take it"
 _SEES = "--sees cell-v1 shows a method what depth cameras see, with their noise"
+_IN_RUN = "leave it out: a run folder has its benchmark's files (RUN/benchmark); put there what an older one lacks"
+_OPEN_A_RUN = (
+    *("report", "why", "view", "export scene", "export release", "export real"),
+    *("results reevaluate", "results reception"),
+)
+_OF_BENCHMARK = (
+    *(
+        "benchmark",
+        "hands",
+        "hand-model",
+        "objects",
+        "object-mesh",
+        "grasps",
+        "trials-file",
+        "robot",
+    ),
+    *("persons", "people", "receiver", "until", "turn"),
+)
 
 GONE = {
     "benchmark hide": 'write a benchmark.yaml with `seed: "32 hexadecimal digits"` and keep it: it has other trials',
@@ -56,6 +74,7 @@ GONE = {
             "hand-errors": "estimate.errors",
         }.items()
     },
+    **{f"{command} --{flag}": _IN_RUN for command in _OPEN_A_RUN for flag in _OF_BENCHMARK},
     "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
 }
 """A command with the word that went (`COMMAND`, `sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`,

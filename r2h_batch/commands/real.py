@@ -9,7 +9,6 @@ import tyro
 from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_folder
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 MOST_TRIALS = 1000
 LEAST_TCP_SPEED, MOST_TCP_SPEED = 0.01, 1.5
@@ -23,7 +22,7 @@ def real(
     method: tuple[str, ...] = (),
     tcp_speed: float = 0.25,
     rate_hz: float = 125.0,
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
 ) -> int:
     """Write trials of a run for a real arm: both paths (CSV, ROS 2, URScript), sheets in true size, objects, a table to fill in.
 
@@ -37,7 +36,7 @@ def real(
         tcp_speed: highest speed of the TCP, m/s; faster paths are slowed down as a whole.
             0.25 is the reduced speed of ISO 10218-1.
         rate_hz: postures a second.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
     wanted = ids_of(trials)
     if not LEAST_TCP_SPEED <= tcp_speed <= MOST_TCP_SPEED:
@@ -64,7 +63,7 @@ def real(
     from r2h_batch.view.lab.folder import SAFETY, write_objects, write_outcomes, write_trial
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored_run, benchmark)
+    reader = Reader(stored_run, code)
     rows, models, without = [], {}, []
     with progress("trials for the robot", len(wanted) * len(names), "trials") as advance:
         for i in wanted:

@@ -9,7 +9,6 @@ from r2h_batch.base.command_line import check_range, counted
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_folder
 from r2h_batch.commands.trials import MOST_TRIALS
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 
 def release(
@@ -18,7 +17,7 @@ def release(
     out: Path,
     method: str = "",
     trials: int = 100,
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
 ) -> int:
     """Write trials of a run, and its verdicts, as files of the authors' release.
 
@@ -30,7 +29,7 @@ def release(
         out: a new or empty folder.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
         trials: the first trials of each split.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
@@ -50,7 +49,7 @@ def release(
     )
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored, benchmark)
+    reader = Reader(stored, code)
     rows = reader.rows(name).to_pylist()
     judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
     names = release_names([r["trial_id"] for r in judged], name, reader.run.labels)

@@ -9,7 +9,6 @@ from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.report.statistics.few import FEW, check_few
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -33,7 +32,7 @@ def report(
     gallery: int = 0,
     out: Path | None = None,
     overwrite: bool = False,
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
 ) -> int:
     """Print the table of run folders, or write their page.
 
@@ -58,7 +57,7 @@ def report(
             to a page of its trial in three dimensions, in a folder beside --out.
         out: the file to write instead of printing.
         overwrite: replace what is there under these names.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
     if not 0 <= gallery <= MOST:
         raise UsageError(f"--gallery is {gallery}; it must be 0 to {MOST}")
@@ -103,7 +102,7 @@ def report(
                 raise UsageError(f"{what}; its pages would be written elsewhere")
             # a run may be of several folders, and a joined one may name a method otherwise: all are opened before one is drawn
             folders = [own for run in loaded for own in run.runs]
-            readers = [Reader(own.folder, benchmark) for own in folders]
+            readers = [Reader(own.folder, code) for own in folders]
             pictures = {name: [] for name in stored.methods}
             for number, (own, reader) in enumerate(zip(folders, readers, strict=True), 1):
                 pages = _pages(out) / str(number) if len(folders) > 1 else _pages(out)

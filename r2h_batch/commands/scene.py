@@ -6,7 +6,6 @@ from typing import Annotated
 import tyro
 
 from r2h_batch.base.io.write import check_output_file, check_output_folder
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 
 def scene(
@@ -15,7 +14,7 @@ def scene(
     trial: str,
     out: Path,
     method: str = "",
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
     render: Path | None = None,
     overwrite: bool = False,
 ) -> int:
@@ -26,7 +25,7 @@ def scene(
         trial: trial id, or your name of the trial (ids.csv of the run).
         out: folder to write, new or empty.
         method: the sweep's word (fc) or the table's name; needed where the run has several.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
         render: also draw this picture (.png, .jpg): start, middle and goal, or for a failed Plan home and
             target with the colliding pair.
         overwrite: write into a folder that has something in it, and replace the picture.
@@ -46,7 +45,7 @@ def scene(
     from r2h_batch.view.pictures import images, save_picture
     from r2h_batch.view.stored import Reader
 
-    stored = Reader(opened, benchmark).trial(number, method or None)
+    stored = Reader(opened, code).trial(number, method or None)
     folder = export_trial(stored, out)
     if render:
         row = [image for image, _ in images(Drawing(stored), (600, 600), 3)]

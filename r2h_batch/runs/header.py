@@ -42,7 +42,10 @@ TIMING = ("t_plan_s", "t_method_s", "t_sees_s")
 """Columns of the trials that depend on the machine: no digest covers them. They hold one value a
 chunk, so a dictionary stores them in less than a bit a trial."""
 
-FOLDERS = ("shards", "methods", ".claims")
+BENCHMARK_FILES = "benchmark"
+"""The folder of the benchmark's files (`trials.run_files`)."""
+
+FOLDERS = ("shards", "methods", BENCHMARK_FILES, ".claims")
 """Folders of a run; a link in the place of one is refused, and of one that holds answers beside the shards (side.py)."""
 
 MAX_JSON_BYTES = 32 << 20  # a run.json with 100,000 objects fits

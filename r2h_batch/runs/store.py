@@ -1,6 +1,7 @@
 """A stored run, to be read: its methods, their shards, tables and digests.
 
 run.json                           the run: protocol, digests, configuration, versions
+benchmark/                         the benchmark's files (`trials.run_files`)
 ids.csv                            what the owner of listed trials calls them: trial_id, id, variant
 imported-SHA/                      trials that were read from somebody's files, as a benchmark
 methods/METHOD.json                a method, and where its answers come from

@@ -134,6 +134,7 @@ def _run(
         header = {**setting.header, "command": command, "shard_trials": size}
         folder = open_run(out, header, exact=bool(sweep.shard_trials))
         log_to(folder.folder / setting.own_file("log.txt"))
+        setting.files.copy_into(folder.folder)
         if setting.labels:
             write_labels(folder.folder, setting.labels)
         for job in jobs:
@@ -142,7 +143,7 @@ def _run(
             LOG.debug(f"{job.name}: {', '.join(f'{k} {v}' for k, v in job.source.items() if v)}")
         for line in (line for job in jobs for line in job.lines):
             LOG.info(line)
-        for line in motions_left_out(sweep.left_out):
+        for line in (*setting.files.lines(), *motions_left_out(sweep.left_out)):
             LOG.info(line)
     except (ClusterError, ValueError, ImportError) as error:
         return refuse("sweep", error, 2)

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import partial
 from importlib import import_module
@@ -43,6 +43,7 @@ from r2h_batch.trials.predictions import (
     doubts,
     load_answers,
 )
+from r2h_batch.trials.run_files import RunFiles, files_of
 from r2h_batch.trials.trials_file import Labels
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import REGISTRY, SIDES
@@ -84,6 +85,7 @@ class Setting:
     trials: Callable[[torch.Tensor], Trials]
     sweep: Sweep = field(default_factory=Sweep)  # what was asked for
     labels: Labels | None = None  # what the owner of listed trials calls them
+    files: RunFiles = field(default_factory=lambda: RunFiles({}, ()))  # of the benchmark
 
     @property
     def chunk(self) -> int:
@@ -149,8 +151,11 @@ def set_up(sweep: Sweep) -> Setting:
 
         check_in_gripper(benchmark)
     setting = prepare(benchmark, plan, sweep, sees)
+    files = files_of(sweep.choice, Path(sweep.out))
+    left_out = {"left_out": list(files.left_out)} if files.left_out else {}
+    setting = replace(setting, files=files)
     setting.header.update(
-        benchmark={"flags": sweep.choice.flags()},
+        benchmark={"flags": sweep.choice.flags(), **left_out},
         seed=sweep.seed,
         predictors=sweep.about_predictors(),
         stored=list(sweep.stored),

@@ -114,9 +114,9 @@ def said_splits(choice: BenchmarkChoice) -> set[str]:
         return set()
     if choice.objects.startswith(PREFIX):
         return family_splits(choice.objects)
-    file = _file_in(path)
+    file = file_in(path)
     if file is None:
-        entries = [_entry(mesh) for mesh in _files(path, MESHES)] if path.is_dir() else []
+        entries = [mesh_entry(mesh) for mesh in files_in(path, MESHES)] if path.is_dir() else []
     else:
         file_data = read_benchmark_file(file)
         listed = file_data.trials and not choice.objects
@@ -148,7 +148,7 @@ def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:
     if text.startswith(PREFIX):
         return family_objects(text)
     path = Path(text)
-    file, shown = _file_in(path), printable(path)
+    file, shown = file_in(path), printable(path)
     if file is not None:
         return read_benchmark(file, pieces=pieces).objects
     if not path.is_dir():
@@ -156,7 +156,7 @@ def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:
         raise FileError(
             f"{shown}: {'' if path.exists() else 'there is no such folder or file; '}--objects {how}"
         )
-    meshes = _files(path, MESHES)
+    meshes = files_in(path, MESHES)
     if not meshes:
         raise FileError(f"{shown}: no mesh ({', '.join(MESHES)}) and no benchmark.yaml here")
     about = {mesh.with_suffix(".yaml").name for mesh in meshes}
@@ -164,17 +164,17 @@ def _objects_of(text: str, pieces: bool) -> tuple[ObjectModel, ...]:
         if name.lower().endswith((".yaml", ".yml")) and name not in about:
             how = "is about no mesh of this folder; MESH.yaml goes with MESH.obj"
             raise FileError(f"{printable(path / name)}: {how}")
-    return objects_of([_entry(mesh) for mesh in meshes], path, pieces)
+    return objects_of([mesh_entry(mesh) for mesh in meshes], path, pieces)
 
 
-def _file_in(path: Path) -> Path | None:
+def file_in(path: Path) -> Path | None:
     """The benchmark file that a path names or has in it; None: a folder of meshes, or neither."""
     file = path / "benchmark.yaml" if path.is_dir() else path
     known = file.suffix.lower() in (".yaml", ".yml") and (file == path or file.exists())
     return file if known else None
 
 
-def _entry(file: Path) -> ObjectEntry:
+def mesh_entry(file: Path) -> ObjectEntry:
     """The entry of a mesh in a folder, with the fields of NAME.yaml beside it."""
     yaml_file = file.with_suffix(".yaml")
     if not os.path.lexists(yaml_file):
@@ -182,7 +182,7 @@ def _entry(file: Path) -> ObjectEntry:
     return read_object_file(path_within(file.parent, yaml_file.name), file.name)
 
 
-def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
+def files_in(folder: Path, endings: Sequence[str]) -> list[Path]:
     """Files with these endings in a folder, by name, without links."""
     found = [f for f in sorted(folder.iterdir()) if f.suffix.lower() in endings]
     found = [f for f in found if f.is_file() and not f.is_symlink()]
@@ -219,7 +219,7 @@ def _grasp_files(names: Sequence[str], argument: str) -> list[tuple[str, str | P
     if named:
         files = [(name, rest)]
     elif path.is_dir():
-        files = [(f.stem, f) for f in _files(path, GRASP_FILES)]
+        files = [(f.stem, f) for f in files_in(path, GRASP_FILES)]
         if not files:
             raise FileError(
                 f"{printable(path)}: no grasps ({', '.join(GRASP_FILES)}) in this folder"

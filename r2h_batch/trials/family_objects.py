@@ -96,9 +96,11 @@ def family_splits(text: str) -> set[str]:
     return {f.split for f in _asked(text, OBJECTS)[0]}
 
 
-def names_code(text: str) -> bool:
-    """Whether such a text names a module or file of the user's, which runs when it is read."""
-    return text.startswith(PREFIX) and ":" in text.removeprefix(PREFIX)
+def code_of(text: str) -> list[str]:
+    """The modules or files of the user's that such a text names, which run when it is read; none in another text."""
+    found = FORM.fullmatch(text)
+    names = text.removeprefix(PREFIX).split(",") if found is None else found["names"].split(",")
+    return [n.strip() for n in names if ":" in n] if text.startswith(PREFIX) else []
 
 
 def _asked(text: str, given: str) -> tuple[tuple[Family, ...], int, int, bool]:

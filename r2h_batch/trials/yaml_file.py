@@ -60,6 +60,8 @@ from r2h_batch.trials.trials_file import read_trials_file
 
 MAX_FILE_BYTES = 1 << 30
 MAX_LABELS_BYTES = 64 << 20
+OF_OBJECT = ("file", "parts", "grasps", "receiver")
+"""Fields of an object that name files."""
 
 
 def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
@@ -77,7 +79,7 @@ def read_benchmark(path: str | Path, *, pieces: bool = False) -> Benchmark:
     path = Path(path)
     file = read_benchmark_file(path)
     digest = hashlib.sha256(read_file(path, MAX_FILE_BYTES))
-    for field, name in _named(file):
+    for field, name in named_files(file):
         try:
             if "\\" in name and ":" not in name:
                 raise FileError(f"{printable(name)!r}: has a backslash; write / between folders")
@@ -132,13 +134,13 @@ def _name_of(path: Path) -> str:
     return path.parent.name if path.stem == "benchmark" and path.parent.name else path.stem
 
 
-def _named(file: BenchmarkFile) -> list[tuple[str, str]]:
+def named_files(file: BenchmarkFile) -> list[tuple[str, str]]:
     """(field, name) of the files that it reads, as it says them."""
     own = [
         (f"objects.{i}.{field}", name)
         for i, o in enumerate(file.objects)
-        for field in ("file", "parts", "grasps", "receiver")
-        if (name := _file_of(o, field)) is not None
+        for field in OF_OBJECT
+        if (name := file_of(o, field)) is not None
     ]
     own += [("trials", file.trials)] if file.trials is not None else []
     own += [("people", file.people)] if file.people is not None and file.people not in WORDS else []
@@ -152,7 +154,7 @@ def _hand_entries(file: BenchmarkFile) -> list[HandsEntry]:
     return [HandsEntry(file=e) if isinstance(e, str) else e for e in entries]
 
 
-def _file_of(entry: ObjectEntry, field: str) -> str | None:
+def file_of(entry: ObjectEntry, field: str) -> str | None:
     """File that an object's field names; None where it names none."""
     name: str | None = getattr(entry, field)
     if name is None or (field == "receiver" and not name.endswith(".npy")):

@@ -8,7 +8,6 @@ from typing import Any, Literal
 from r2h_batch.base.command_line import check_range
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.write import check_output_file
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 from r2h_batch.verdicts import SPLITS
 
 FILMS = (".mp4", ".webm", ".gif")
@@ -37,7 +36,7 @@ def view(
     receiver_motion: str = "",
     policy: str = "planned",
     overwrite: bool = False,
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
 ) -> int:
     """Look at the trials of a run folder in a browser, or write one as a page, a film or strips.
 
@@ -64,7 +63,7 @@ def view(
             `sweep`.
         policy: closed loop: the policy that moves the arm, as in `sweep`.
         overwrite: replace files that are there.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
     if sees is not None:
         if trial is None or html or video or strips or one_of_each or method:
@@ -73,7 +72,7 @@ def view(
             )
         check_range("--noise", noise, 0, 5)
         how = {"noise": noise, "labels": labels}
-        return _sees(run, trial, rig, sees, benchmark, overwrite=overwrite, how=how)
+        return _sees(run, trial, rig, sees, code, overwrite=overwrite, how=how)
     if rig != "cell-v1":
         raise UsageError("--rig names the cameras of --sees; add --sees FILE.png")
     if noise != 1 or labels != "exact":
@@ -120,7 +119,7 @@ def view(
         ready()
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored, benchmark)
+    reader = Reader(stored, code)
     only: list[int] | None = None
     if one_of_each:
         from r2h_batch.view.stored import one_failure_of_each
@@ -138,7 +137,7 @@ def view(
                 }
                 view(
                     run, method=(name,), trial=failed, size=size, frames=frames, fps=fps, overwrite=overwrite,
-                    benchmark=benchmark, **files,
+                    code=code, **files,
                 )  # fmt: skip
             return 0
         method, only = (name,), list(kinds.values())
@@ -194,7 +193,7 @@ def _sees(
     trial: int,
     rig: str,
     out: Path,
-    benchmark: BenchmarkChoice,
+    code: tuple[str, ...],
     *,
     overwrite: bool,
     how: dict[str, Any],
@@ -214,7 +213,7 @@ def _sees(
     from r2h_batch.view.sees import write_sees
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored, benchmark)
+    reader = Reader(stored, code)
     write_sees(reader, trial, cameras, out, **how)
     print(out)
     return 0

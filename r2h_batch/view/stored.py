@@ -6,7 +6,7 @@ from the stored one (another machine, another version).
 """
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cached_property
 from pathlib import Path
@@ -30,7 +30,6 @@ from r2h_batch.runs.store import UNJUDGED, Run, load_run
 from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.jobs import job_of_run
 from r2h_batch.trials.benchmark import Benchmark, trials_digest
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import ELSEWHERE, EVERY, IN_ORDER, MOST_SECONDS, NO_LONGER, UNITS
@@ -52,12 +51,13 @@ Section = TypeVar("Section")
 
 
 class Reader:
-    """Trials of one run folder, one after the other; `run` is the folder, or what `load_run` gave."""
+    """Trials of one run folder, one after the other; `run` is the folder, or what `load_run` gave. `code`: functions that
+    the run names and that may run."""
 
-    def __init__(self, run: str | Path | Run, given: BenchmarkChoice | None = None) -> None:
+    def __init__(self, run: str | Path | Run, code: Collection[str] = ()) -> None:
         self.run: Run = run if isinstance(run, Run) else load_run(run)
         self.where = str(self.run.folder)
-        self.given = given or BenchmarkChoice()
+        self.code = code
         self._rows: dict[str, Any] = {}
 
     def method(self, word: str | None = None) -> str:
@@ -129,7 +129,7 @@ class Reader:
             words = "run.json lacks objects or configuration; it was not made by a sweep"
             raise RunError(f"{self.where}: {words}")
         try:
-            benchmark = benchmark_of_run(header, self.given, self.where)
+            benchmark = benchmark_of_run(header, self.where, self.code)
         except FileError as error:
             raise RunError(str(error)) from None
         # the run's trials once more, as far as that is cheap

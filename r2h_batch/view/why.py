@@ -4,14 +4,12 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
-
 if TYPE_CHECKING:
     from r2h_batch.runs.explain import Explanation
     from r2h_batch.view.stored import Reader
 
 
-def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoice = DEFAULT) -> int:
+def why(run: Path, trial: str, /, *, method: str = "", code: tuple[str, ...] = ()) -> int:
     """Say why one trial of a run passed or failed: the criterion, its margin, what decides it, what would have passed, and
     the command that draws it.
 
@@ -19,7 +17,7 @@ def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoic
         run: run folder of a sweep.
         trial: the trial's number, or what its owner calls it.
         method: the sweep's word (fc) or the table's name; without it a line for each method, and all of the only one.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
     from r2h_batch.runs.store import load_run
 
@@ -30,7 +28,7 @@ def why(run: Path, trial: str, /, *, method: str = "", benchmark: BenchmarkChoic
 
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored, benchmark)
+    reader = Reader(stored, code)
     for k, name in enumerate(names):
         print(("\n" if k else "") + str(explanation(reader, number, name)))
     return 0

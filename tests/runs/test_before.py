@@ -19,7 +19,6 @@ from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.of_run import benchmark_of_run
 
 DRAFT = Path(__file__).resolve().parents[1] / "frozen" / "draft"
@@ -127,7 +126,7 @@ def test_why_names_what_it_failed_by(run, method, capsys):
 
 
 def test_they_are_judged_again_in_the_same_trials_by_the_criteria_that_there_are(run, method):
-    benchmark = benchmark_of_run(run.header, BenchmarkChoice(), "x")
+    benchmark = benchmark_of_run(run.header, "x")
     assert benchmark.asks == run.asks and benchmark.digest != run.header["digests"]["benchmark"]
     found = reevaluate(run, method, 16, Judge(run))
     assert found.scored == 16

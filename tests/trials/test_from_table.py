@@ -32,7 +32,6 @@ from r2h_batch.sweep.command import main as sweep
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.sweep.results.rethreshold import render as render_points
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.types import CollidingPair
 from r2h_batch.verdicts import (
@@ -349,7 +348,7 @@ def test_a_sweep_until_present_says_so_and_lacks_the_columns(folder):
     assert run.asks == ("pick",) and whole.asks == ("pick", "received")
     names = set(run.trials(run.methods[0]).column_names)
     assert "passed_pick" in names and not {"passed_received", "received_reason"} & names
-    assert benchmark_of_run(run.header, BenchmarkChoice(), "x").asks == ("pick",)
+    assert benchmark_of_run(run.header, "x").asks == ("pick",)
     again = reevaluate(run, run.methods[0], 8, Judge(run))
     assert again.equal == 8 and not again.differences
     assert "F_recv" not in render(table_of(run), "md")
@@ -469,7 +468,7 @@ def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thre
             assert row["outcome"] != "pick" or not row["passed_pick"]
     again = reevaluate(whole, whole.methods[0], 8, Judge(whole))
     assert again.equal == 8 and not again.differences
-    given = benchmark_of_run(whole.header, BenchmarkChoice(), "x")
+    given = benchmark_of_run(whole.header, "x")
     assert given.digest == load_benchmark("r2h-v3-draft").digest
 
 

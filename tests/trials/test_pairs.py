@@ -18,7 +18,6 @@ from r2h_batch.scene.objects import load_objects, object_digest
 from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.trials.benchmark import trials_digest
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.trials.predictions import Answers, check_benchmark, load_answers, write_predictions
 
@@ -184,8 +183,8 @@ def test_code_of_a_benchmark_that_raises_or_leaves_is_refused_in_one_line(code, 
 def test_a_stored_run_brings_no_code():
     header = {"protocol": "mine", "digests": {}, "configuration": {"plan": {"object_collision": "hull"}},
               "benchmark": {"flags": ["--benchmark os:getcwd"]}, "versions": {}}  # fmt: skip
-    with pytest.raises(FileError, match="give what its sweep was given: --benchmark os:getcwd"):
-        benchmark_of_run(header, BenchmarkChoice(), "run")
+    with pytest.raises(FileError, match=r"given --benchmark os:getcwd; .* --code os:getcwd"):
+        benchmark_of_run(header, "run")
 
 
 @pytest.mark.parametrize("said", ["b/evil.py:pwn", "evil.py:pwn"])
@@ -201,8 +200,8 @@ def test_a_file_called_like_a_function_beside_a_stored_run_does_not_run(said, tm
     (run / "b" / "evil.py").write_text((run / said).read_text())
     header = {"protocol": "mine", "digests": {}, "configuration": {"plan": {"object_collision": "hull"}},
               "benchmark": {"flags": [f"--benchmark {said}"]}, "versions": {}}  # fmt: skip
-    with pytest.raises(FileError, match=f"give what its sweep was given: --benchmark {said}"):
-        benchmark_of_run(header, BenchmarkChoice(), str(run))
+    with pytest.raises(FileError, match=f"given --benchmark {said}; .* --code {said}"):
+        benchmark_of_run(header, str(run))
     assert not (tmp_path / "ran").exists()
 
 
@@ -273,11 +272,11 @@ def test_a_run_is_judged_by_the_benchmark_that_it_says_to_the_last_limit():
             "versions": {"r2h_batch": "1"},
         }
 
-    assert benchmark_of_run(header(v1), BenchmarkChoice(), "run").digest == v1.digest
+    assert benchmark_of_run(header(v1), "run").digest == v1.digest
     body = replace(v1, receiver="body")
-    assert benchmark_of_run(header(body), BenchmarkChoice(), "run").receiver == "body"
+    assert benchmark_of_run(header(body), "run").receiver == "body"
     for name in ("limits", "place", "mass", "objects"):
         with pytest.raises(FileError, match=r"run: was made with other .*benchmark"):
-            benchmark_of_run(header(other_parts(v1)[name]), BenchmarkChoice(), "run")
-    with pytest.raises(FileError, match="give what its sweep was given: no flag for objects or hands"):
-        benchmark_of_run(header(v1), BenchmarkChoice(people="adults"), "run")
+            benchmark_of_run(header(other_parts(v1)[name]), "run")
+    with pytest.raises(FileError, match="run: --code mine:f: the run names no code"):
+        benchmark_of_run(header(v1), "run", ("mine:f",))

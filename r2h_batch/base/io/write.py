@@ -22,7 +22,7 @@ from uuid import uuid4
 from r2h_batch.base.errors import FileError, MachineError
 from r2h_batch.base.io.read import printable
 
-RUN_FOLDERS = ("shards", "methods")
+RUN_FOLDERS = ("shards", "methods", "benchmark")
 """Folders that a run folder may contain."""
 
 

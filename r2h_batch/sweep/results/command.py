@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING
 from r2h_batch.base.command_line import check_seed
 from r2h_batch.base.errors import UsageError
 from r2h_batch.sweep.results.rethreshold import rethreshold
-from r2h_batch.trials.choice import DEFAULT, BenchmarkChoice
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -93,7 +92,7 @@ def reevaluate(
     rows: int = 200,
     method: tuple[str, ...] = (),
     seed: int | None = None,
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
     device: str = "cpu",
 ) -> int:
     """Verify a run folder, then judge a random sample of its rows again from their stored poses.
@@ -108,7 +107,7 @@ def reevaluate(
         rows: rows of each method that the command judges again.
         method: only these methods, by the sweep's word (fc) or the table's name.
         seed: seed of the random sample; by default a new one each time.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
         device: cpu, cuda or cuda:N.
     """
     import numpy as np
@@ -117,9 +116,9 @@ def reevaluate(
         raise UsageError(f"--rows is {rows}; it must be 0 or more")
     if seed is not None:
         check_seed(seed)
-    code = verify(folder)
+    exit_code = verify(folder)
     if not rows:
-        return code
+        return exit_code
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results import reevaluation as again
@@ -131,7 +130,7 @@ def reevaluate(
         raise RunError(f"{folder}: no shard of any method is stored")
     check_poses(run)
     draw = int(np.random.SeedSequence().generate_state(1)[0]) if seed is None else seed
-    judge = Judge(run, given=benchmark, device=device)
+    judge = Judge(run, code=code, device=device)
     if judge.other:
         print(
             f"not as when it was scored: {', '.join(judge.other)}; so verdicts are compared exactly,"
@@ -140,7 +139,7 @@ def reevaluate(
         )
     for name in names:
         found = again.reevaluate(run, name, rows, judge, seed=draw)
-        code = 1 if found.differences else code
+        exit_code = 1 if found.differences else exit_code
         differing = len({d.trial_id for d in found.differences})
         words = f"{differing or 'none'} {'differs' if differing < 2 else 'differ'}"
         print(
@@ -151,7 +150,7 @@ def reevaluate(
             print(f"  {difference}")
         if (more := len(found.differences) - LISTED) > 0:
             print(f"  and {more} more differences")
-    return code
+    return exit_code
 
 
 def reception(
@@ -159,7 +158,7 @@ def reception(
     /,
     *,
     method: tuple[str, ...] = (),
-    benchmark: BenchmarkChoice = DEFAULT,
+    code: tuple[str, ...] = (),
     device: str = "cpu",
 ) -> int:
     """Print how many receivers could take the object, and how easily; write RUN/reception/METHOD.parquet.
@@ -173,14 +172,14 @@ def reception(
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
         method: only these methods, by the sweep's word (fc) or the table's name.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
         device: cpu, cuda or cuda:N.
     """
     run = _opened(folder, method, "reception")
     from r2h_batch.sweep.results.questions import judge_of, kept_answers
     from r2h_batch.sweep.results.reception import QUESTION, render
 
-    judge, names = judge_of(run, benchmark, device)
+    judge, names = judge_of(run, code, device)
     print(render(kept_answers(QUESTION, run, names, judge)), end="")
     return 0
 

@@ -1,7 +1,7 @@
 """The evaluator that a run folder describes: it judges stored poses again."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 import torch
 from pydantic import TypeAdapter
 
-from r2h_batch.base.validate import instance_of, optional
+from r2h_batch.base.validate import instance_of, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.observe.sees import Sees
@@ -20,7 +20,6 @@ from r2h_batch.runs.plugged import criteria_since
 from r2h_batch.runs.rows import TrialNames
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.scoring import judged_tables
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.trials.predictions import Motions
 from r2h_batch.types import Predictions, Trials
@@ -41,16 +40,16 @@ class Judge:
 
     Args:
         run: what `load_run(FOLDER)` gives.
-        given: where its files are now, if they are not where the sweep found them.
+        code: functions of benchmarks and families that the run names and that may run, such as `FILE.py:function`.
         device: cpu, cuda or cuda:N.
     """
 
-    def __init__(self, run: Run, *, given: BenchmarkChoice | None = None, device: str = "cpu"):
+    def __init__(self, run: Run, *, code: Collection[str] = (), device: str = "cpu"):
         instance_of(Run, "what load_run(FOLDER) gives")("run", run)
-        optional(instance_of(BenchmarkChoice, "flags of the benchmark"))("given", given)
+        sequence_of(str, "functions that may run", least=0)("code", code)
         header, where = run.header, run.folder
         config = configuration(header["configuration"], str(where))
-        self.benchmark = benchmark_of_run(header, given or BenchmarkChoice(), str(where))
+        self.benchmark = benchmark_of_run(header, str(where), code)
         plans_in = Sees.planning(header)
         self.evaluator = Evaluator(self.benchmark, config, device=device, plans_in=plans_in)
         self.other = _other(header, device)

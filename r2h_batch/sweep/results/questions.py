@@ -24,7 +24,6 @@ from r2h_batch.runs.methods import Entry
 from r2h_batch.runs.side import made_of, side_path, write_side
 from r2h_batch.runs.store import Run
 from r2h_batch.sweep.results.judge import Judge, check_poses
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.types import Scores
 
 ROWS = 1024
@@ -78,12 +77,12 @@ class Question(Generic[T]):
     function: Callable[[Judge, Part], T]
 
 
-def judge_of(run: Run, benchmark: BenchmarkChoice, device: str) -> tuple[Judge, list[str]]:
+def judge_of(run: Run, code: Sequence[str], device: str) -> tuple[Judge, list[str]]:
     """The evaluator of a run, and its methods with rows.
 
     Args:
         run: with poses.
-        benchmark: where its files are now, if they are not where the sweep found them.
+        code: functions that the run names and that may run.
         device: cpu, cuda or cuda:N.
 
     Raises:
@@ -93,7 +92,7 @@ def judge_of(run: Run, benchmark: BenchmarkChoice, device: str) -> tuple[Judge, 
     names = [e.name for e in run.entries if e.shards]
     if not names:
         raise RunError(f"{run.folder}: no shard of any method is stored")
-    return Judge(run, given=benchmark, device=device), names
+    return Judge(run, code=code, device=device), names
 
 
 def kept_answers(

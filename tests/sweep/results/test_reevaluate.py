@@ -303,7 +303,7 @@ def test_what_cannot_be_judged_again_is_refused_with_one_line(folder, tmp_path, 
     assert main(["results", "reevaluate", str(folder), "--rows", "5", "--method", "fc"]) == 2
     assert "no method 'fc'" in capsys.readouterr().err
     assert main(["results", "reevaluate", str(folder), "--rows", "5", "--object-mesh", "mug.obj"]) == 2
-    assert "give what its sweep was given: no flag for objects" in capsys.readouterr().err
+    assert "results reevaluate --object-mesh: r2h_batch 0.3 had it" in capsys.readouterr().err
 
 
 @pytest.mark.check

@@ -83,7 +83,7 @@ def test_a_run_of_other_assets_is_refused(run, tmp_path, capsys, monkeypatch):
     assert "hand_set" in refused([run, "--trial", 0, "--method", "oracle", "--out", tmp_path / "x"], capsys)
 
 
-def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys):
+def test_a_users_own_mesh_is_in_the_run_or_asked_for_and_comes_along(tmp_path, capsys):
     (tmp_path / "my files").mkdir()
     file = tmp_path / "my files" / "brick.obj"
     trimesh.creation.box((0.03, 0.06, 0.16)).subdivide().subdivide().export(file)
@@ -97,15 +97,17 @@ def test_a_users_own_mesh_is_found_or_asked_for_and_comes_along(tmp_path, capsys
     assert main(["export", "scene", *map(str, command)]) == 0
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
     capsys.readouterr()
-    (tmp_path / "elsewhere").mkdir()
-    file = file.rename(tmp_path / "elsewhere" / file.name)
+    copy, own = folder / "benchmark" / "object-mesh" / "brick.obj", tmp_path / "kept.obj"
+    copy.rename(own)  # a run of 0.3 has none
     command += ["--overwrite"]
-    message = refused(command, capsys)
-    assert "brick" in message and "--object-mesh" in message
-    assert main(["export", "scene", *map(str, command), "--object-mesh", str(file)]) == 0
+    assert main(["export", "scene", *map(str, command)]) == 0  # it is where the sweep found it
     assert capsys.readouterr().out.strip() == str(tmp_path / "x") and (tmp_path / "x" / "scene.xml").is_file()
+    file.unlink()
+    message = refused(command, capsys)
+    assert f"--object-mesh {file}; it is not there any more: put it at {copy}" in message
+    own.rename(copy)
+    assert main(["export", "scene", *map(str, command)]) == 0
     assert json.loads((tmp_path / "x" / "trial.json").read_text())["object"] == "brick"
-    trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(file)
-    assert "objects" in refused([*command, "--object-mesh", file], capsys)
-    file.rename(tmp_path / "my files" / file.name)  # where the sweep found it: it is another file now
+    capsys.readouterr()
+    trimesh.creation.box((0.03, 0.06, 0.15)).subdivide().subdivide().export(copy)
     assert "objects (brick)" in refused(command, capsys)

@@ -81,7 +81,7 @@ def test_the_export_of_a_strangers_run_stays_in_its_folder(run, tmp_path):
     shutil.copytree(run, copy)
     ids = [r["trial_id"] for r in load_run(copy).trials("oracle").to_pylist()]
     (copy / "ids.csv").write_text("trial_id,id,variant\n" + "".join(f"{i},../../out/{i},x\n" for i in ids))
-    line = ["--benchmark", "r2h-v1", "--method", "oracle", "--trials", "1"]
+    line = ["--method", "oracle", "--trials", "1"]
     assert main(["export", "release", str(copy), *line, "--out", str(tmp_path / "a" / "files")]) == 0
     assert not (tmp_path / "out").exists() and len([*(tmp_path / "a" / "files").glob("oracle_*.json")]) == 2
 

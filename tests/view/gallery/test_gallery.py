@@ -8,7 +8,6 @@ from made_runs import write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs.store import load_run
-from r2h_batch.trials.choice import BenchmarkChoice
 from r2h_batch.verdicts import Outcome
 from r2h_batch.view.gallery import pictures
 from r2h_batch.view.gallery.pictures import first_of_each_outcome
@@ -46,8 +45,8 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
     asked = SimpleNamespace(nearest=SimpleNamespace(kind="object_hand"))
 
     class Reader:
-        def __init__(self, folder, given):
-            assert given == BenchmarkChoice()
+        def __init__(self, folder, code):
+            assert code == ()
             self.run = load_run(folder)
 
         def trial(self, trial, method):
