@@ -73,10 +73,11 @@ def person_distance_at(
     receiver: Float32[Tensor, "b 5 4"],
     q: Float32[Tensor, "b 6"],
     active: Bool[Tensor, " b"],
+    head: Float32[Tensor, "b 2 4"] | None = None,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """The same at postures; NaN and -1 in rows that are not active."""
     made = over_trials(posture_lengths, len(active), scene.device)(active=active.contiguous())
-    return person_distance(scene, body_poses, receiver, q[:, None], made["length"])
+    return person_distance(scene, body_poses, receiver, q[:, None], made["length"], head)
 
 
 @dataclass(frozen=True)
