@@ -82,7 +82,7 @@ bench: $(VENV)/.installed-test  ## every figure of the pages, measured in one go
 	set -e; for b in $(BENCHES); do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
 	$(BIN)/python bench/soak.py long --json bench/results/long.json
 	$(BIN)/python bench/closed_loop.py --growth 2000
-	set -e; for b in closed_loop reception people object_errors observe sees pick whole; do $(BIN)/python bench/$$b.py; done
+	set -e; for b in closed_loop reception people sees r2h_v3; do $(BIN)/python bench/$$b.py; done
 	set -e; for b in robots robustness; do $(BIN)/python bench/$$b.py --out $(BENCH_RUNS)/$$b; done
 	$(if $(RELEASE),$(BIN)/python bench/release.py --release $(RELEASE) --json bench/results/release.json,@echo "bench: without RELEASE=checkout bench/results/release.json stays as it is")
 	$(if $(VENDORS),$(BIN)/python bench/vendors.py --files $(VENDORS) --out $(BENCH_RUNS)/vendors --json bench/results/vendors.json,@echo "bench: without VENDORS=folder bench/results/vendors.json stays as it is")

@@ -1,4 +1,4 @@
-"""Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/moving.md.
+"""Which methods keep their rank when the hand moves, and what a closed loop costs: docs/results/questions.md.
 
 `python bench/closed_loop.py` plays the shipped baselines of the default benchmark in closed loop and measures the cost on the
 oracle's poses (process time on one thread, a second run of the same episodes). `--growth N` plays N episodes in one process,

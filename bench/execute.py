@@ -72,7 +72,7 @@ class Mix:
 
         few = slice(0, 8)
         evaluator.score(self.g[few], self.h[few], self.trials[few])
-        if config.sim != "none" and config.model != "arm":  # once in a process (docs/motion.md)
+        if config.sim != "none" and config.model != "arm":  # once in a process (docs/choices.md)
             start = time.process_time()
             evaluator.scene.model(self.trials.hand_index.tolist())
             seen["compile_s"] = time.process_time() - start

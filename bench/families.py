@@ -1,5 +1,5 @@
 """Object families: Table I of r2h-v2, the turn test, the order of the methods, how many instances they need, the contact
-network against exact maps, and what 96 objects cost: docs/results/families.md.
+network against exact maps, and what 96 objects cost: docs/results/table1.md.
 
 `python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned
 (`--execute.sim none`). `--counted` counts the spreads again, from the rows that ship with the package.

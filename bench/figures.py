@@ -101,7 +101,7 @@ def stored(folder: Path = STORED) -> dict[str, Measured]:
 
 def pages(root: Path = ROOT) -> list[Path]:
     """Pages that may show figures."""
-    return [root / "README.md", *sorted((root / "docs").rglob("*.md"))]
+    return [root / "README.md", *sorted((root / "docs").rglob("*.md")), root / "bench" / "SOURCES.md"]
 
 
 def written(value: Any, factor: str | None, spec: str | None) -> str:
@@ -187,7 +187,7 @@ def listing(measured: Mapping[str, Measured]) -> str:
         if missing := one.lacks():
             state = f"without {', '.join(missing)}: measure again"
         elif one.name in EARLIER:
-            state = "of earlier code: docs/results/sources.md"
+            state = "of earlier code: bench/SOURCES.md"
         elif why := one.outdated():
             state = f"out of date: {why}"
         elif files := one.changed():

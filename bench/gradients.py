@@ -4,7 +4,7 @@ python bench/gradients.py [--trials N] [--json FILE]
 
 cost: median seconds of a pose call with its backward pass, less those of the call alone, by turns, for each candidate; random
 candidates of the default benchmark. page: the first block of
-docs/gradients.md, as printed. refine: examples/refine_poses.py on N trials of each split.
+docs/training_loop.md, as printed. refine: examples/refine_poses.py on N trials of each split.
 """
 
 import argparse
@@ -66,7 +66,8 @@ def cost(report: Report) -> None:
 
 def page(report: Report) -> None:
     """The page's own program: how many candidates pass before and after."""
-    (code, *_) = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "gradients.md").read_text("utf-8"), re.DOTALL)
+    page = (ROOT / "docs" / "training_loop.md").read_text("utf-8").partition("## Gradients")[2]
+    (code, *_) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "page.py"
         file.write_text(code)

@@ -1,4 +1,4 @@
-"""A method that learned (`r2h-batch train rank`): docs/results/learned.md.
+"""A method that learned (`r2h-batch train rank`): docs/results/questions.md.
 
 `python bench/learn.py --runs FOLDER [--scans FOLDER]` trains three seeds and four folds of left-out categories into the folder,
 or goes on there, and judges what they choose on r2h-v2, motion as planned. SCANS: a folder of meshes of yours. Part `recipes`

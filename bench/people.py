@@ -1,4 +1,4 @@
-"""Receivers of every size: docs/results/people.md.
+"""Receivers of every size: docs/results/questions.md.
 
 Dimensions of the built-in people beside ANSUR II, success of the built-in methods by group, and what decides Handover-VA's
 plans on a larger hand. Six CPU minutes.

@@ -1,4 +1,4 @@
-"""Which methods change places when SR is not what counts: docs/results/ranks.md, from the JSON of other pages.
+"""Which methods change places when SR is not what counts: docs/results/questions.md, from the JSON of other pages.
 
 Robustness, reception and moving receivers each have a bench of their own.
 """

@@ -1,4 +1,4 @@
-"""The same methods on the built-in robots, and their inverse kinematics: docs/results/robots.md.
+"""The same methods on the built-in robots, and their inverse kinematics: docs/results/questions.md.
 
 `python bench/robots.py --sections ik trials collision plan table --out FOLDER` measures these and leaves the others as they are
 in the JSON; each says on which commit it was measured.

@@ -1,4 +1,4 @@
-"""Methods on meshes of yours, beside Table I: docs/results/scans.md.
+"""Methods on meshes of yours, beside Table I: docs/results/questions.md.
 
 `python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps
 the rows in bench/options/SET and the figures in bench/results/SET.json. It fetches nothing.

@@ -1,4 +1,4 @@
-"""Success of methods that see, by what they are shown: docs/results/sees.md.
+"""Success of methods that see, by what they are shown: docs/results/questions.md.
 
 `python bench/sees.py` sweeps the built-in methods, a robust search and examples/grasp_seen.py on r2h-v2, told the truth, and
 shown what two posts or one see. `--trials 500 --processes 2 --parts FOLDER` is for two hours: it keeps what is done, and started

@@ -26,7 +26,7 @@ V1_CHOICES = (
     *("base", "protocol r2h-v0", "plan-hand estimated", "candidates as generated", "error x 2", "receiver with a body"),
     *("preset paper", "preset release", "contact,at=gripper", "intent,at=gripper", "fc,height_m=0.12", "fc,at=gripper"),
 )
-"""Variants that docs/results/table1-v1.md and families.md name."""
+"""Variants that docs/results/table1.md names."""
 STORED = ROOT / "docs" / "results" / "sensitivity.json"
 TRIALS = 200
 """Trials of each split."""

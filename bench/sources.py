@@ -1,4 +1,4 @@
-"""The list of rows, or commands that make them, behind each published figure: docs/results/sources.md.
+"""The list of rows, or commands that make them, behind each published figure: bench/SOURCES.md.
 
 Pages, commits and seconds are looked up; only where rows are, and what a command is
 called where `make bench` does not say it, stands here.
@@ -9,7 +9,7 @@ from typing import Any
 
 from _report import EARLIER, ROOT, markdown_table
 
-HERE = "docs/results/sources.md"
+HERE = "bench/SOURCES.md"
 ROWS = {
     "closed_loop": "`won` of the JSON: each trial",
     "gates": "`bench/options/gates`",
@@ -46,13 +46,8 @@ def folders(published: Any) -> list[list[object]]:
 
 
 def links(name: str, pages: list[Path]) -> str:
-    """A bench's pages, as links from the page of sources."""
-    found = []
-    for page in pages:
-        path = page.relative_to(ROOT)
-        to = path.name if path.parent.name == "results" else f"../{path.relative_to('docs').as_posix()}"
-        found.append(f"[{path.stem}]({to})")
-    return ", ".join(found)
+    """A bench's pages, as links from the list of sources."""
+    return ", ".join(f"[{page.stem}](../{page.relative_to(ROOT).as_posix()})" for page in pages)
 
 
 def shown(_: object) -> dict[str, str]:

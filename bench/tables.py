@@ -408,7 +408,7 @@ def main() -> None:
         sys.exit("tables: files changed while the sweeps ran; run the command again")
     install(place, commit)
     print(
-        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in docs/results/findings.md, and commit"
+        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in docs/results/table1.md, and commit"
     )
 
 

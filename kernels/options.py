@@ -21,7 +21,7 @@ stores a compiled module, so an edit of the header compiles all modules again. (
 checkout into the key.)
 
 `fuse_fp` off: every product is rounded before it is added, on a CPU as on CUDA, and angles go through geometry/angles.py. So
-what decides verdicts has the same float32 bits on both (docs/gpu.md has the evidence). It costs nothing on a CPU. `methods/`,
+what decides verdicts has the same float32 bits on both (CONTRIBUTING.md has the evidence). It costs nothing on a CPU. `methods/`,
 `receiver/close_hand.py` and `receiver/point_mesh.py` leave it on: the evaluator judges what they find like any other input."""
 
 

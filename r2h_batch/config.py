@@ -280,7 +280,7 @@ class ExecConfig(_Checked):
         max_acceleration_rad_s2: acceleration limit of every joint, rad/s^2; robots have no own one.
         sim: engine that moves the arm. auto: mujoco on a CPU, mjwarp on CUDA; none: the planned motion.
         model: what is simulated. scene: everything, with contacts; arm: the arm with a rigid gripper and
-            no contacts; auto: the arm, and again the whole scene where a contact is not ruled out (docs/motion.md).
+            no contacts; auto: the arm, and again the whole scene where a contact is not ruled out (docs/choices.md).
         step_s: step of simulator and servos, s: the real controller's 500 Hz.
         record_steps: steps between two samples of the executed motion.
         payload: whether the controller compensates the object's weight.

@@ -66,7 +66,7 @@ class Evaluator:
             None: the default preset. Its thresholds and workplace must be defaults or equal the benchmark's.
         device: `cpu`, `cuda` or `cuda:N`.
         threads: CPU threads of a call; None: all cores.
-        plans_in: the cameras by whose images arms are planned (docs/pick.md, "What planning believes"); None: planning
+        plans_in: the cameras by whose images arms are planned (docs/r2h_v3.md, "What planning believes"); None: planning
             knows the truth. For benchmarks that ask for Pick.
 
     Raises:
@@ -180,7 +180,7 @@ class Evaluator:
             stages: `all`: the benchmark. `pose`: what needs no path, with the same kernels
                 (Stability, Reach, Affordance; Plan and Safe at the goal posture). A pose that fails
                 there fails the benchmark too (docs/training_loop.md). Its margins have gradients
-                where poses require them (docs/gradients.md).
+                where poses require them (docs/training_loop.md).
             keep_motion: also return the executed joint angles (24 kB for 8 s of motion).
 
         Returns:

@@ -22,12 +22,10 @@ APART = {
     "people",
     "gates",
     "networks",
-    "object_errors",
-    "observe",
     "observe_export",
     "sees",
 }
-APART |= {"meshes", "pick", "whole", "growth", "gradients", "training_loop"}
+APART |= {"meshes", "r2h_v3", "growth", "gradients", "training_loop"}
 APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
@@ -100,7 +98,7 @@ def test_no_page_shows_figures_of_other_code(figures, measured):
 
 
 def test_figures_of_earlier_code_are_named_with_their_commit_until_they_are_measured_again(figures, measured):
-    sources = (ROOT / "docs/results/sources.md").read_text("utf-8")
+    sources = (ROOT / "bench/SOURCES.md").read_text("utf-8")
     for name in each(sorted(figures.EARLIER)):
         assert measured[name].outdated(), f"{name} was measured again: take it out of EARLIER in bench/_report.py"
         (row,) = [line for line in sources.splitlines() if line.startswith(f"| {name} |")]

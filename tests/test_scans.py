@@ -1,4 +1,4 @@
-"""Meshes of a user beside Table I: bench/scans.py, and what it stored (docs/results/scans.md)."""
+"""Meshes of a user beside Table I: bench/scans.py, and what it stored (docs/results/questions.md)."""
 
 import argparse
 import json

@@ -22,7 +22,7 @@ pytestmark = pytest.mark.check
 
 def test_every_flag_and_option_of_the_page_is_one(capsys):
     known = {"--yaml", "--schema"}
-    imports = (["import", what] for what in ("hand", "hands", "grasps", "trials"))
+    imports = (["import", what] for what in ("hand", "hands", "grasps", "objects", "trials"))
     for line in (["sweep"], *imports, ["export", "trials"], ["export", "scene"], ["export", "release"]):
         with pytest.raises(SystemExit):
             main([*line, "--help" if line[0] == "import" else "--help-all"])

@@ -47,7 +47,7 @@ SHOULDER_FLEXION_DEG = wp.constant(180.0)
 SHOULDER_EXTENSION_DEG = wp.constant(60.0)
 SHOULDER_ABDUCTION_DEG = wp.constant(180.0)
 SHOULDER_ADDUCTION_DEG = wp.constant(75.0)
-"""Ranges of the arm's joints (AAOS; docs/receivers.md); those of the shoulder scale its effort and exclude no posture."""
+"""Ranges of the arm's joints (AAOS; docs/r2h_v3.md); those of the shoulder scale its effort and exclude no posture."""
 ROUNDING = wp.constant(1.0e-4)
 TAN_ULNAR, TAN_RADIAL = wp.constant(0.57736), wp.constant(0.36398)
 """Just beyond tan 30 and tan 20 degrees."""

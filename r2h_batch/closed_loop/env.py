@@ -2,7 +2,7 @@
 
 The object is in the gripper and the arm at home when an episode begins. Each step the policy sees the
 hand as a camera does (noise, latency, drop-outs) and says how to go on. A row does not depend on its
-batch. Definitions: docs/receivers.md, "Receivers that move".
+batch. Definitions: docs/closed_loop.md.
 """
 
 from collections.abc import Mapping, Sequence

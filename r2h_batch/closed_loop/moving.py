@@ -3,7 +3,7 @@
 A hand moves in strokes. A stroke shifts the wrist and turns the hand about it by minimum jerk (Flash
 and Hogan 1985). A stroke that begins before another has ended adds to it (Henis and Flash 1995). So the
 way of a point between two moments is known exactly from above, which is what certifies distances.
-Times and lengths are [choice] (docs/receivers.md). Everything is drawn by trial: a row does not depend
+Times and lengths are [choice] (docs/closed_loop.md). Everything is drawn by trial: a row does not depend
 on its batch.
 """
 

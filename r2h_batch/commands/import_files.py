@@ -96,7 +96,7 @@ def people(file: Annotated[Path, tyro.conf.Positional], /) -> int:
 
     Args:
         file: A .csv, one person a row: sex (male, female), age (years), and lengths in metres by the names of
-            docs/people.md.
+            docs/benchmark.md.
     """
     from r2h_batch.data.people import read_people
 

@@ -155,7 +155,7 @@ def stored_hulls() -> tuple[NDArray[np.int32], NDArray[np.int32]] | None:
 
 
 def read_people(path: str | Path) -> People:
-    """The people of a .csv file: one a row, lengths in metres (docs/people.md).
+    """The people of a .csv file: one a row, lengths in metres (docs/benchmark.md).
 
     Columns: `sex` (male, female), `age` (years), and those of `LENGTHS_M`. Others are ignored. A hand is the built-in
     one of the nearest length.

@@ -89,7 +89,7 @@ def picked(
     T_world_obj: Float32[Tensor, "b 4 4"],
     trials: Trials,
 ) -> Picked:
-    """Whether the arm can pick each trial's object where it rests, why not, and by how much (docs/pick.md).
+    """Whether the arm can pick each trial's object where it rests, why not, and by how much (docs/r2h_v3.md).
 
     A row does not depend on the others. The trial's handover pose plays no part: the person waits where the trial says.
 

@@ -2,7 +2,7 @@
 easiest of them. Part of the verdict where a benchmark asks for Received (`judge.received`).
 
 A grasp counts when it passes every step of `STEPS`. The person may lean; the object is where the robot
-holds it out, and the robot stands at its goal. docs/receivers.md has the definitions, ranges and sources.
+holds it out, and the robot stands at its goal. docs/r2h_v3.md has the definitions, ranges and sources.
 """
 
 from collections.abc import Callable

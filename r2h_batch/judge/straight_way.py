@@ -15,7 +15,7 @@ from r2h_batch.kernels.plan.line import follow_lines
 from r2h_batch.scene.scene import Scene
 
 WAY_M = 0.1
-"""Length of the straight way in, and of the way up [whole.md; choice]."""
+"""Length of the straight way in, and of the way up [choice]."""
 STEPS = (10, 20, 40)
 """Waypoints of a way after its first, 10, 5 and 2.5 mm apart [choice]: between them the joints go straight. A branch takes
 the widest spacing at which it follows."""

@@ -123,7 +123,7 @@ def _run(
             LOG.info(f"sweep: {shares}")
         if setting.evaluator.benchmark.certified is not None and (left := _uncertified(setting)):
             LOG.info(
-                f"sweep: {left} of {setting.planned} trials are not known to have a whole way (docs/pick.md#certificates)"
+                f"sweep: {left} of {setting.planned} trials are not known to have a whole way (docs/r2h_v3.md#certificates)"
             )
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")

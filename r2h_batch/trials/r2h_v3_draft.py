@@ -1,7 +1,7 @@
 """Draft of benchmark r2h-v3: objects, people and hands of r2h-v2. The arm has to pick the object from the table first, and the
 person has to be able to take it in the end.
 
-Not frozen: trials, criteria and thresholds may change (docs/pick.md).
+Not frozen: trials, criteria and thresholds may change (docs/r2h_v3.md).
 """
 
 from dataclasses import replace

@@ -120,7 +120,7 @@ def searched(inputs):
 
 
 def effort_twin(trials, vectors, outwards, i):
-    """Least effort of trial i's waiting hand over the swivels, in float64, from the equations of docs/receivers.md."""
+    """Least effort of trial i's waiting hand over the swivels, in float64, from the equations of docs/r2h_v3.md."""
     body = trials.receiver[i].double().numpy()
     shoulder, elbow, wrist = body[0, :3], body[1, :3], body[2, :3]
     ahead = np.array([body[3, 3], body[4, 3], 0.0])

@@ -357,7 +357,7 @@ def test_parts_that_overlap_are_one_closed_body():
 
 
 def test_the_family_on_the_page_is_drawn(tmp_path):
-    page = (Path(__file__).resolve().parents[2] / "docs" / "families.md").read_text(encoding="utf-8")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "benchmark.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     code = code.replace('take="foot")', 'take="foot", listed=False)')  # other tests count the families
     (file := tmp_path / "vases.py").write_text(code)

@@ -21,7 +21,7 @@ def test_the_papers_own_table_shows_all_eight_findings():
     paper = findings.paper_cells()
     verdicts = [findings.verdict(f, paper) for f in findings.findings()]
     assert verdicts == [("appears", "")] * 8
-    causes = (ROOT / "docs/results/findings.md").read_text("utf-8").partition("## Causes\n")[2]
+    causes = (ROOT / "docs/results/table1.md").read_text("utf-8").partition("## Causes\n")[2]
     assert re.findall(r"^(\d)\. ", causes, re.MULTILINE) == [*"12345678"]
 
 

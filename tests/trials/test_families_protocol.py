@@ -18,7 +18,7 @@ from r2h_batch.trials.yaml_file import read_benchmark
 from r2h_batch.types import PERSON, Trials
 
 FROZEN = "4bee35bc09e816e0fefa0d6c8214bb08dc8aebf7da1452444650ed641f3f757b"
-"""Digest of 200 trials a split: r2h-v2 never changes; docs/choices.md names it too."""
+"""Digest of 200 trials a split: r2h-v2 never changes; docs/benchmark.md names it too."""
 DEFINED = "940101feca37a37ffcc3e60468b04b7b2200d1726a77f65e91da0d871adc49b0"
 """Digest of the benchmark: objects, hands, people, limits and place."""
 

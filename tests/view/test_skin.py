@@ -16,7 +16,7 @@ from r2h_batch.view.skin import CLOTHED, GEOMS, chair_of, drawn_hand, skin_of, s
 from r2h_batch.view.stored import Reader
 
 OUTSIDE_MM = {"upper_arm": 32.0, "forearm": 24.0}
-"""How far the drawn skin may stand out of the capsules; Anny's own stands out by 20.0 and 6.3 (docs/results/people.md), the
+"""How far the drawn skin may stand out of the capsules; Anny's own stands out by 20.0 and 6.3 (at commit 23af3e0394ba), the
 rest is the sixteen components' and the bend of the elbow's."""
 HELD = {"upper_arm": 0.90, "forearm": 0.96}
 """Share of the drawn skin's area that must lie in the capsules."""

@@ -21,7 +21,7 @@ from r2h_batch.types import Scores, Trials
 from r2h_batch.verdicts import EVERY, UNITS
 
 STEP_M, STEP_RAD = 3e-3, 3e-2
-"""Half the length of a difference [choice]: a step of gradient ascent is about as long (docs/gradients.md)."""
+"""Half the length of a difference [choice]: a step of gradient ascent is about as long (docs/training_loop.md)."""
 
 STEEPEST = 1.5
 """Margins change by no more for a metre, or for a radian [choice]: no body of the gripper is much faster than the ee. Where a

@@ -43,7 +43,7 @@ NOTES = (
     " benchmark asks for Received.",
     "K: how many of the received would be if only K grasps a side were known (drawn at random): at least one of them passes"
     " every step. Turn: received with the hand turned by at most so much in the easiest grasp.",
-    "Hands have the shape of the held-out grasps, not of the trial's person (docs/receivers.md).",
+    "Hands have the shape of the held-out grasps, not of the trial's person (docs/r2h_v3.md).",
 )
 
 

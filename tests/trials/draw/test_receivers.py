@@ -9,7 +9,7 @@ from r2h_batch.types import Trials
 
 N = 1500
 FROZEN = "67a519ecb7e700f6284e0ee9b02eabdb2e2f2fd4f3c28ec20ef40f8601e95fa4"
-"""Digest of 500 trials a split: r2h-v1 never changes; docs/choices.md names it too."""
+"""Digest of 500 trials a split: r2h-v1 never changes; docs/benchmark.md names it too."""
 
 
 @pytest.fixture(scope="module")

@@ -1,8 +1,8 @@
-"""The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/results/whole.md.
+"""The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/r2h_v3.md.
 
-`python bench/whole.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with other
-code, and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it keeps what
-is done, and started again it goes on with what is missing.
+`python bench/r2h_v3.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with
+other code, and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it
+keeps what is done, and started again it goes on with what is missing.
 """
 
 import argparse
@@ -28,7 +28,7 @@ from _source import digests
 from run import Bench
 
 MEASURES = (
-    "bench/whole.py",
+    "bench/r2h_v3.py",
     "kernels/judge",
     "kernels/plan",
     "r2h_batch/evaluate.py",
@@ -464,7 +464,7 @@ BENCH = Bench(
         "--parts": {"type": Path, "help": "folder where rows and finished parts are kept: a stopped bench goes on"},
     },
     peer="own twins in float64",
-    stored="whole",
+    stored="r2h_v3",
 )
 
 if __name__ == "__main__":
