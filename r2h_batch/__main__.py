@@ -12,6 +12,7 @@ from r2h_batch.base.command_line import Command, exit_code_of, failed, parse, re
 from r2h_batch.base.errors import nearest
 from r2h_batch.base.gone import gone
 from r2h_batch.base.package import VERSION
+from r2h_batch.strangers import end_without_threads
 
 COMMANDS = {
     "sweep": ("sweep.command:main", "Score methods or predictions files on the trials."),
@@ -41,7 +42,13 @@ itself.
 
 def main(arguments: Sequence[str] | None = None, *, prog: str = "r2h-batch") -> int:
     """Exit code of the chosen subcommand; 2 and one line if there is no such subcommand."""
-    given = list(sys.argv[1:] if arguments is None else arguments)
+    code = _main(list(sys.argv[1:] if arguments is None else arguments), prog)
+    if arguments is None:
+        end_without_threads(code)
+    return code
+
+
+def _main(given: Sequence[str], prog: str) -> int:
     name = given[0] if given else "--help"
     if name not in COMMANDS:
         return exit_code_of(prog, lambda: _about(name, given, prog))

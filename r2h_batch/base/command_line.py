@@ -281,10 +281,10 @@ class _Kept(io.StringIO):
         return self._stream.isatty()
 
 
-def refuse(name: str, error: object, code: int = 2) -> int:
-    """Print one line on stderr, whatever the error says; returns the exit code."""
+def refuse(name: str, error: object, code: int | None = None) -> int:
+    """Print one line on stderr, whatever the error says; returns the exit code: this one, else that of the error, else 2."""
     LOG.error(f"{name}: {' '.join(str(error).split())}")
-    return code
+    return int(getattr(error, "exit_code", 2)) if code is None else code
 
 
 def counted(number: int, things: str) -> str:

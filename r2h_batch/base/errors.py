@@ -10,7 +10,9 @@ from collections.abc import Sequence
 
 
 class UserError(ValueError):
-    """A user can mend it: the line says what was given. A command ends with exit code 2."""
+    """A user can mend it: the line says what was given. A command ends with `exit_code`."""
+
+    exit_code = 2
 
 
 class FileError(UserError):
@@ -26,6 +28,13 @@ class AnswerError(UserError):
     """What a method answered cannot be judged: one line that says what was found and what is allowed, with the method's
     name where more than one may be meant. A sweep leaves this method out, goes on with the others and ends with exit
     code 2."""
+
+
+class EndedError(AnswerError):
+    """A method would have ended the process in the middle of its work. A sweep does as with any answer that cannot be judged,
+    and ends with exit code 1."""
+
+    exit_code = 1
 
 
 class MachineError(RuntimeError):

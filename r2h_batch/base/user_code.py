@@ -18,13 +18,14 @@ from typing import Any
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
 from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.strangers import __file__ as _GUARD
+from r2h_batch.strangers import stranger
 
 HOW = "package.module:function or FILE.py:function"
 MOST_BYTES = 16 << 20
 """Largest program that is imported: Python reads a file as a whole."""
 
-NO_EXIT = "_no_exit"
-"""The function that stands in the place of `os._exit` while a method runs: it is nobody's fault that it raises."""
+_NOTHING = object()
 
 _BROUGHT: dict[str, Collection[str]] = {}
 """Module -> the modules that its first import brought."""
@@ -65,27 +66,30 @@ def load_function(spec: str, kind: str = "function") -> UserFunction:
             name, or the module raises something while it is imported: one line that says what.
     """
     place, _, name = spec.rpartition(":")
-    before = set(sys.modules)
+    before = sys.modules.copy()
     try:
-        if place.endswith(".py"):
-            module, spec = _import_file(Path(place)), f"{Path(place).name}:{name}"
-        elif all(part.isidentifier() for part in place.split(".")):
-            if not sys.flags.safe_path:
-                _search_first(Path.cwd())
-            module = importlib.import_module(place)
-        else:
-            raise ImportError(
-                f"{place!r} is neither a name of a module nor a file that ends with .py"
-            )
+        with stranger(spec) as code:
+            if place.endswith(".py"):
+                module, spec = _import_file(Path(place)), f"{Path(place).name}:{name}"
+            elif all(part.isidentifier() for part in place.split(".")):
+                if not sys.flags.safe_path:
+                    _search_first(Path.cwd())
+                module = importlib.import_module(place)
+            else:
+                raise ImportError(
+                    f"{place!r} is neither a name of a module nor a file that ends with .py"
+                )
+            code.of = module.__name__
+            # a module may have a function of its own that answers
+            function = getattr(module, name, _NOTHING)
     except (ImportError, KeyboardInterrupt):
         raise
     except BaseException as error:  # SystemExit too: it would end the command without a word
         raise ImportError(raised(error)) from error
-    _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before)
-    try:
-        return UserFunction(getattr(module, name), module, spec)
-    except AttributeError:
-        raise ImportError(f"{place} has no {kind.lower()} {name!r}") from None
+    _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before.keys())
+    if function is _NOTHING:
+        raise ImportError(f"{place} has no {kind.lower()} {name!r}")
+    return UserFunction(function, module, spec)
 
 
 def text_of(error: BaseException) -> str:
@@ -110,7 +114,7 @@ def raised(error: BaseException) -> str:
     if isinstance(error, SyntaxError):  # its text says where
         return what
     frames = traceback.extract_tb(error.__traceback__)
-    where = next((f for f in reversed(frames) if f.name != NO_EXIT), frames[-1])
+    where = next((f for f in reversed(frames) if f.filename != _GUARD), frames[-1])
     return f"{what} ({printable(where.filename)}, line {where.lineno})"
 
 
@@ -191,7 +195,14 @@ def user_files(modules: Iterable[str], *, installed: Collection[str] = ()) -> di
     """
     found = module_files(modules, installed=installed)
     for name, file in list(found.items()):
-        for listed in getattr(sys.modules.get(name), "METHOD_FILES", ()):
+        named = getattr(sys.modules.get(name), "METHOD_FILES", ())
+        if not isinstance(named, (list, tuple)) or not all(
+            isinstance(f, (str, Path)) for f in named
+        ):
+            raise FileError(
+                f"METHOD_FILES of {file} is {printable(repr(named))[:100]}; write a list of paths, such as ['weights.pt']"
+            )
+        for listed in named:
             path = file.parent / os.path.expanduser(listed)
             inside = sorted(p for p in path.rglob("*") if p.is_file()) if path.is_dir() else [path]
             if not all(p.exists() for p in inside):

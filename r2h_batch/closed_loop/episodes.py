@@ -7,12 +7,13 @@ from typing import Any
 
 import torch
 
-from r2h_batch.base.errors import AnswerError, UsageError
+from r2h_batch.base.errors import AnswerError, EndedError, UsageError
 from r2h_batch.base.user_code import chosen, raised
 from r2h_batch.closed_loop.env import End, Episodes, HandoverEnv, LoopConfig
 from r2h_batch.closed_loop.moving import KINDS, ReceiverMotion
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.runs import provenance
+from r2h_batch.strangers import Ended, stranger
 from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.types import Scores
 
@@ -70,22 +71,26 @@ def play(env: HandoverEnv, policy: Callable[..., Any], name: str = "policy") -> 
     observation = env.begin()
     act = policy
     if isinstance(policy, type):
-        with _answering(name):
+        with _answering(name, policy):
             act = policy(env)
     while bool((env.ends == int(End.RUNNING)).any()):
-        with _answering(name):
+        with _answering(name, policy):
             actions = env.checked_actions(act(observation))
         observation, *_ = env.advance(actions)
     return env.episodes()
 
 
 @contextmanager
-def _answering(name: str) -> Iterator[None]:
+def _answering(name: str, policy: Callable[..., Any]) -> Iterator[None]:
     """One line about whatever a policy's code raises."""
     try:
-        yield
-    except Exception as error:
-        raise AnswerError(f"policy {name}: {raised(error)}") from error
+        with stranger(f"policy {name}", getattr(policy, "__module__", "") or ""):
+            yield
+    except (KeyboardInterrupt, AnswerError):
+        raise
+    except BaseException as error:  # SystemExit too
+        kind = EndedError if isinstance(error, Ended) else AnswerError
+        raise kind(f"policy {name}: {raised(error)}") from error
 
 
 @dataclass(frozen=True)

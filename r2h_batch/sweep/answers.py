@@ -4,24 +4,20 @@ A built-in method has no answer for objects without grasps and for hands that ho
 trials get no pose and count as its failures (`invalid_input`).
 """
 
-import io
-import os
 import re
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import torch
 from torch import Tensor
 
-from r2h_batch.base.errors import AnswerError, UsageError
-from r2h_batch.base.io.log import LOG
+from r2h_batch.base.errors import AnswerError, EndedError, UsageError
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import raised, text_of
 from r2h_batch.base.validate_tensors import as_numbers, check_tensor
+from r2h_batch.strangers import Ended, stranger
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
@@ -30,37 +26,31 @@ if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and h
     from r2h_batch.scene.scene import Scene
 
 
-def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predictions:
+def answer_of(
+    name: str, trials: Trials, call: Callable[[Trials], Any], *, of: str = ""
+) -> Predictions:
     """A method's answer for these trials, in memory of its own, with its amortised wall time where
     it gives none.
 
-    The method gets a copy of the trials: what it writes there does not reach what is judged.
+    The method gets a copy of the trials: what it writes there does not reach what is judged. `of`: the module that it
+    lies in.
     """
-    copied = trials.clone()
-    start = time.perf_counter()
+    copied, clock = trials.clone(), time.perf_counter
     try:
-        with own_streams(name):
+        with stranger(name, of):
+            start = clock()
             answer = call(copied)
-    except KeyboardInterrupt:
+            if torch.cuda.is_available():
+                torch.cuda.synchronize()
+            seconds = (clock() - start) / max(len(trials), 1)
+            T_obj_ee, T_world_ee, own, trial_id = _parts(name, answer)
+    except (KeyboardInterrupt, AnswerError):
         raise
     except BaseException as error:  # SystemExit too; other methods go on
         if device_trouble(error) is not None:
             raise  # not the method's fault: no other one would fare better
-        raise AnswerError(f"method {name}: {raised(error)}") from error
-    if torch.cuda.is_available():
-        torch.cuda.synchronize()
-    seconds = (time.perf_counter() - start) / max(len(trials), 1)
-    own, trial_id = None, None
-    if isinstance(answer, Predictions):
-        T_obj_ee, T_world_ee = answer.T_obj_ee, answer.T_world_ee
-        own, trial_id = answer.t_method_s, answer.trial_id
-    elif isinstance(answer, (tuple, list)) and len(answer) in (2, 3):
-        T_obj_ee, T_world_ee, own = (*answer, None)[:3]
-    else:
-        size = f" of {len(answer)}" if isinstance(answer, (tuple, list)) else ""
-        allowed = "r2h_batch.Predictions or (T_obj_ee, T_world_ee[, t_method_s])"
-        what = f"its answer is a {type(answer).__name__}{size}; it must be {allowed}"
-        raise AnswerError(f"method {name}: {what}")
+        kind = EndedError if isinstance(error, Ended) else AnswerError
+        raise kind(f"method {name}: {raised(error)}") from error
     n, home = len(trials), trials.trial_id.device
     if trial_id is not None:
         ids = _checked(name, "trial_id", trial_id, (n,), (torch.int64,)).to(home)
@@ -82,6 +72,41 @@ def answer_of(name: str, trials: Trials, call: Callable[[Trials], Any]) -> Predi
     return Predictions(trials.trial_id, grasp, handover, t_method_s, name)
 
 
+def _parts(name: str, answer: Any) -> tuple[Any, Any, Any, Any]:
+    """T_obj_ee, T_world_ee, t_method_s and trial_id of an answer, None where it has none. Tensors are plain ones: a kind of the
+    method's own may answer anything when the judge asks it."""
+    own, trial_id = None, None
+    if isinstance(answer, Predictions):
+        T_obj_ee, T_world_ee = answer.T_obj_ee, answer.T_world_ee
+        own, trial_id = answer.t_method_s, answer.trial_id
+    elif isinstance(answer, (tuple, list)) and len(answer) in (2, 3):
+        T_obj_ee, T_world_ee, own = (*answer, None)[:3]
+    else:
+        size = f" of {len(answer)}" if isinstance(answer, (tuple, list)) else ""
+        allowed = "r2h_batch.Predictions or (T_obj_ee, T_world_ee[, t_method_s])"
+        what = f"its answer is a {type(answer).__name__}{size}; it must be {allowed}"
+        raise AnswerError(f"method {name}: {what}")
+    return (
+        _plain(name, T_obj_ee),
+        _plain(name, T_world_ee),
+        _plain(name, own),
+        _plain(name, trial_id),
+    )
+
+
+def _plain(name: str, value: Any) -> Any:
+    if not isinstance(value, Tensor) or type(value) is Tensor:
+        return value
+    try:
+        plain = value.detach().as_subclass(Tensor)
+    except Exception:
+        plain = value
+    if type(plain) is not Tensor:
+        what = f"a tensor of its own kind {type(value).__name__}, which becomes no plain one"
+        raise AnswerError(f"method {name}: its answer has {what}; give torch.Tensor")
+    return plain
+
+
 def _checked(
     name: str,
     key: str,
@@ -101,31 +126,6 @@ def _checked(
         found = f"{value.dtype} {tuple(value.shape)}"
         raise AnswerError(f"method {name}: {key} is {found}; it must be {words}")
     return value.detach().clone()
-
-
-def _no_exit(status: int) -> NoReturn:
-    """In the place of `os._exit` while a method runs: nothing behind it would be told, and no table printed."""
-    if os.getpid() != _PROCESS:  # a child that the method forked: it may leave
-        _leave(status)
-    raise SystemExit(f"os._exit({status}) ends the process; return an answer")
-
-
-_PROCESS, _leave = os.getpid(), os._exit
-
-
-@contextmanager
-def own_streams(name: str) -> Iterator[None]:
-    """Sends a method's prints to stderr: stdout is the table's. A stream that it closed or replaced
-    is put back, and it cannot end the process without a word by `os._exit`."""
-    printed, before = io.StringIO(), os._exit
-    os._exit = _no_exit
-    try:
-        with redirect_stderr(sys.stderr), redirect_stdout(printed):
-            yield
-    finally:
-        os._exit = before
-        if not printed.closed and printed.getvalue():
-            LOG.info(f"{name} printed: {printed.getvalue().rstrip()}")
 
 
 @dataclass(frozen=True, eq=False)

@@ -207,7 +207,7 @@ def _lost(error: Exception) -> ClusterError:
     )
 
 
-def score_on_ray(work: Scoring) -> list[str]:
+def score_on_ray(work: Scoring) -> dict[str, int]:
     """Every job's shards of this part through a pool of actors, which set up the sweep again; only this
     process writes to the run folder.
 
@@ -223,12 +223,12 @@ def score_on_ray(work: Scoring) -> list[str]:
     folder, part = work.folder, work.setting.sweep.part
     todo = deque((j.name, s) for j in work.jobs for s in folder.todo(j.name, part))
     if not todo:
-        return []
+        return {}
     with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
         return _on_cluster(ray, work, todo)
 
 
-def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> list[str]:
+def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> dict[str, int]:
     sweep = work.setting.sweep
     handlers = {s: signal.getsignal(s) for s in (signal.SIGINT, signal.SIGTERM)}
     # local: a cluster of its own; without an address Ray would join whatever a file in /tmp or the
@@ -272,8 +272,8 @@ def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> list[str]:
 
 def _feed(
     pool: Pool, size: int, todo: "deque[Task]", work: Scoring, advance: Callable[[int], None]
-) -> list[str]:
-    refused: list[str] = []
+) -> dict[str, int]:
+    refused: dict[str, int] = {}
     errors: dict[Task, list[str]] = {}
     while todo or pool.busy:
         pool.check()
@@ -303,8 +303,7 @@ def _feed(
                 cause = getattr(error, "cause", None)
                 if isinstance(cause, AnswerError):  # it would answer the same again
                     if name not in refused:
-                        refuse("sweep", cause)
-                        refused.append(name)
+                        refused[name] = refuse("sweep", cause)
                     left = [t for t in todo if t[0] != name]
                     todo.clear()
                     todo.extend(left)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from r2h_batch.base.command_line import counted, exit_code_of, failed, refuse
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG, telling
+from r2h_batch.strangers import end_without_threads
 from r2h_batch.sweep.options import Options, parse
 
 # torch, Warp and pyarrow are imported when there is work: --help and typing errors answer at once
@@ -31,7 +32,10 @@ def main(arguments: Sequence[str] | None = None, *, prog: str = "python -m r2h_b
     """Exit code of the command: 0 done, 1 failed on the way, 2 refused before any work, 130
     interrupted."""
     words = sys.argv[1:] if arguments is None else arguments
-    return exit_code_of("sweep", lambda: _main(words, prog))
+    code = exit_code_of("sweep", lambda: _main(words, prog))
+    if arguments is None:
+        end_without_threads(code)
+    return code
 
 
 def _main(arguments: Sequence[str], prog: str) -> int:
@@ -146,7 +150,7 @@ def _run(
         for line in (*setting.files.lines(), *motions_left_out(sweep.left_out)):
             LOG.info(line)
     except (ClusterError, ValueError, ImportError) as error:
-        return refuse("sweep", error, 2)
+        return refuse("sweep", error)
     except OSError as error:
         return _failed(error, Path(options.out))
     try:
@@ -198,7 +202,7 @@ def _score(work: "Scoring") -> int:
         LOG.error(f"{words}; the same command tries them again")
     alone = sweep.part[1] == 1
     code = _finish(sweep, names, alone=alone, without=bool(work.without))
-    return 2 if refused else code
+    return max(refused.values(), default=code)
 
 
 def _log(stored: "Run", kind: "LoggerName") -> None:

@@ -18,20 +18,21 @@ from typing import TYPE_CHECKING, Any, cast, get_args
 import torch
 
 from r2h_batch.base.command_line import counted
-from r2h_batch.base.errors import FileError, UsageError
+from r2h_batch.base.errors import EndedError, FileError, UsageError
 from r2h_batch.base.gone import gone
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.own_imports import PACKAGE
 from r2h_batch.base.registry import METHOD_NAMES, METHODS
 from r2h_batch.base.schedule import trial_ids
-from r2h_batch.base.user_code import HOW, UserFunction, load_function, user_files
+from r2h_batch.base.user_code import HOW, UserFunction, load_function, raised, user_files
 from r2h_batch.base.validate import describe_value
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
 from r2h_batch.scene.person import PIECES
-from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, own_streams, why_no_cuda
+from r2h_batch.strangers import Ended, stranger, words_of
+from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, why_no_cuda
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Sweep
 from r2h_batch.trials.benchmark import Benchmark
@@ -398,20 +399,21 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
     takes = "(seen) with --sees" if seeing else "(trials, scene), or (seen) with --sees"
     form = f"it must be {HOW}; the function takes {takes}, and seed if it draws numbers"
     try:
-        with own_streams(f"--method {name}"):
-            if built_in:
-                spec = _function_of(name)
-                module = import_module(spec.partition(":")[0])
-                found = UserFunction(module.predict, module, spec)
-            else:
-                found = load_function(name)
+        if built_in:
+            spec = _function_of(name)
+            module = import_module(spec.partition(":")[0])
+            found = UserFunction(module.predict, module, spec)
+        else:
+            found = load_function(name)
     except ImportError as error:
+        if isinstance(error.__cause__, Ended):
+            raise EndedError(f"--method {name}: {error}") from error
         words = f"{' '.join(str(error).split())}; {form}"
         raise UsageError(f"--method {name}: {words}") from error
     function = found.function
     chosen = options_of(argument, function, known=built_in) if callable(function) else {}
     try:
-        signature = inspect.signature(function)
+        signature = _signature(function)
         told = {"evaluator", "noise", "predictor", "seen", "T_world_obj"}
         more = told & signature.parameters.keys()
         if seeing and not built_in:
@@ -423,6 +425,14 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
     except (TypeError, ValueError) as error:
         raise UsageError(f"--method {name}: {error}; {form}") from error
     return _Method(built_in, found, signature.parameters, chosen)
+
+
+def _signature(function: Any) -> inspect.Signature:
+    """Raises TypeError where it has none: a stranger's `__signature__` may raise anything."""
+    try:
+        return inspect.signature(function)
+    except Exception as error:
+        raise TypeError(words_of(error).partition(": ")[2]) from error
 
 
 def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
@@ -501,16 +511,18 @@ def _method_job(
     on_table = "T_world_obj" in takes and "pick" in evaluator.benchmark.asks
 
     def answer(trials: Trials) -> Predictions:
-        before = set(sys.modules)
+        before = sys.modules.copy()
         if on_table:
             from r2h_batch.observe.known import known_moments  # cameras too: a third of a second
 
             extra["T_world_obj"] = known_moments(evaluator.scene).of(trials)
         with on_threads(evaluator.threads):
             function = partial(method.found.function, **extra)
-            answer = answer_of(title, trials, lambda copied: function(copied, evaluator.scene))
+            answer = answer_of(
+                title, trials, lambda copied: function(copied, evaluator.scene), of=module.__name__
+            )
         own = module.__name__.partition(".")[0]
-        late = user_files(sys.modules.keys() - before, installed={own})
+        late = user_files(sys.modules.keys() - before.keys(), installed={own})
         for k in late.keys() - files.keys() if not built_in else ():
             words = "a resume does not notice its changes"
             LOG.info(f"{title}: imported {k} when it was called; {words}")
@@ -546,9 +558,15 @@ def _trained_on(name: str, method: _Method, evaluator: "Evaluator") -> str:
         UsageError: it is neither, or one of the judged objects is among them.
     """
     told = getattr(method.found.module, "TRAINED_ON", ())
-    told = told(**method.options) if callable(told) else told
-    several = isinstance(told, Iterable) and not isinstance(told, str)
-    names = tuple(islice(told, MOST_TRAINED_ON + 1)) if several else ()
+    try:
+        with stranger(f"--method {name}", method.found.module.__name__):
+            told = told(**method.options) if callable(told) else told
+            several = isinstance(told, Iterable) and not isinstance(told, str)
+            names = tuple(islice(told, MOST_TRAINED_ON + 1)) if several else ()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:  # SystemExit too
+        raise UsageError(f"--method {name}: its TRAINED_ON: {raised(error)}") from error
     if not several or not all(isinstance(t, str) for t in names):
         raise UsageError(
             f"--method {name}: TRAINED_ON is {describe_value(told)}; write names or patterns of objects, such as ['cup_s1005_*']"

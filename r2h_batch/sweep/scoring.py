@@ -120,14 +120,14 @@ class Scoring:
         self.without.setdefault(name, {})[shard.index] = why
 
 
-def score_local(work: Scoring) -> list[str]:
+def score_local(work: Scoring) -> dict[str, int]:
     """Every job's shards of this part into the run folder, sharing them with other sweeps that work
     on it.
 
-    Returns the methods whose answers cannot be scored: each is said in one line, and the others go
-    on.
+    Returns the methods whose answers cannot be scored, with the exit code that this means: each is said in one line, and
+    the others go on.
     """
-    refused, folder = [], work.folder
+    refused, folder = {}, work.folder
     for job in work.jobs:
         todo = folder.todo(job.name, work.setting.sweep.part)
         if not todo:
@@ -142,8 +142,7 @@ def score_local(work: Scoring) -> list[str]:
             ) as advance:
                 _score_job(work, job, todo, advance)
         except AnswerError as error:
-            refuse("sweep", error)
-            refused.append(job.name)
+            refused[job.name] = refuse("sweep", error)
     return refused
 
 

@@ -8,6 +8,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.user_code import HOW, load_function, raised
 from r2h_batch.base.validate import instance_of
+from r2h_batch.strangers import stranger
 from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.registry import BENCHMARK, named_benchmark
 from r2h_batch.trials.yaml_file import read_benchmark
@@ -51,10 +52,11 @@ def _names_file(path: Path) -> bool:
 def _of_function(spec: str) -> Benchmark:
     """The benchmark that a user's function returns."""
     try:
-        function = load_function(spec).function
-        if not callable(function):
-            raise ImportError(f"is a {type(function).__name__}, no function")
-        found = function()
+        own = load_function(spec)
+        if not callable(own.function):
+            raise ImportError(f"is a {type(own.function).__name__}, no function")
+        with stranger(f"benchmark {printable(spec)}", own.module.__name__):
+            found = own.function()
     except ImportError as error:
         raise FileError(
             f"benchmark {printable(spec)}: {printable(error)}; it must be {HOW}"

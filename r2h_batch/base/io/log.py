@@ -11,6 +11,7 @@ from logging.handlers import MemoryHandler
 from pathlib import Path
 from typing import TextIO
 
+from r2h_batch import strangers
 from r2h_batch.base.io.read import printable
 
 MOST_KEPT = 1000
@@ -57,6 +58,7 @@ LOG = logging.Logger("r2h_batch", logging.DEBUG)
 """Logger of a command: errors, infos (not with --quiet) and debug lines (with --verbose)."""
 _stderr = _Stderr(logging.INFO)
 LOG.addHandler(_stderr)
+strangers.say = LOG.info
 
 
 @contextlib.contextmanager

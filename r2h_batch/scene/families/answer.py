@@ -13,6 +13,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import raised
 from r2h_batch.scene.families.family import Draw, Family, FamilyError, Shape
 from r2h_batch.scene.families.shapes import Parts
+from r2h_batch.strangers import stranger
 
 SMALLEST_MM, LARGEST_MM = 10.0, 2000.0
 """Largest side of an instance; as of a mesh file's."""
@@ -34,7 +35,8 @@ def shape_of(family: Family, name: str, draw: Draw, parts: Parts) -> Shape:
     """
     where = f"family {family.category}, instance {name}"
     try:
-        shape: object = family.make(draw, parts)
+        with stranger(where, family.make.__module__):
+            shape: object = family.make(draw, parts)
     except (KeyboardInterrupt, FamilyError):
         raise
     except BaseException as error:  # SystemExit too: it would end the command without a word
