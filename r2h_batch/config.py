@@ -169,7 +169,8 @@ class PlanConfig(_Checked):
         hand_clearance_m: distance to the hand kept along the path where the goal keeps it, m [choice]; goals are measured
             up to 6.5 mm only.
         range_rad: longest extension of RRT, rad.
-        rounds: iterations of each round of the search.
+        rounds: iterations of each round of the search. Where several find nothing, searches at less clearance follow
+            (`judge.search.LAST_SHARES`).
         shortcuts: waypoints pulled and segments joined after the quickest subset of the waypoints is
             found.
         seed: of the random postures of the search.

@@ -130,8 +130,9 @@ def check_interval(
     table_p = R_hand_world * world.table_center + p_hand_world
     first_hull = world.hull_first[bodies.object[trial]]
     n_hulls = world.hull_first[bodies.object[trial] + 1] - first_hull
-    # GJK may stop 5 % short of the distance where a shorter interval asks again
-    gap = wp.where(query.aim == 1, 0.0, wp.where(moving, 0.05, 0.0))
+    # GJK may stop 5 % short of the distance where a shorter interval asks again. The distance is that of cores, from which
+    # radii are taken off: of two fingers that keep 3 mm it may be a third
+    gap = wp.where(query.aim == 1 or query.closely, 0.0, wp.where(moving, 0.05, 0.0))
 
     for link in range(LINKS):
         lo = int(world.n_robot)

@@ -15,6 +15,9 @@ CERTIFY = wp.constant(0)  # proven free, by conservative advancement
 SAMPLES = wp.constant(1)  # free at samples as far apart as MoveIt's
 CLEARANCE = wp.constant(2)  # the smallest clearance along it
 POSTURE = wp.constant(3)  # whether its first posture is free
+CLOSELY = wp.constant(
+    4
+)  # as CERTIFY, each distance as near as it goes: dearer, and right beside the hand it proves more
 
 # What a body may meet: the kind of a pair.
 HAND = wp.constant(0)

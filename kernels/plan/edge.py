@@ -22,7 +22,16 @@ import warp as wp
 
 from r2h_batch.kernels.geometry.bisection import MAX_LEVEL, descend, half_width, middle, next_interval
 from r2h_batch.kernels.options import OPTIONS
-from r2h_batch.kernels.plan.codes import BLOCKED, CERTIFY, CLEARANCE, FREE, MAX_OBSTACLES, OPEN, POSTURE, SAMPLES
+from r2h_batch.kernels.plan.codes import (
+    BLOCKED,
+    CLEARANCE,
+    CLOSELY,
+    FREE,
+    MAX_OBSTACLES,
+    OPEN,
+    POSTURE,
+    SAMPLES,
+)
 
 from ..robot.joints import FIELDS, FRAMES, JOINTS, vecq
 from ..robot.world import TrialBodies, World
@@ -41,15 +50,16 @@ MOVEIT_SEGMENT_RAD = wp.constant(0.691)
 def edge(
     world: World, bodies: TrialBodies, trial: int, a: vecq, b: vecq, hand_margin: float, other_margin: float,
     best: float, tolerance: float,
-    mode: int,  # CERTIFY, SAMPLES, CLEARANCE (below `best`) or POSTURE (a alone)
+    mode: int,  # CERTIFY, CLOSELY, SAMPLES, CLEARANCE (below `best`) or POSTURE (a alone)
 ):  # fmt: skip
     """FREE or BLOCKED for the straight joint-space edge a-b; with CLEARANCE the smallest clearance along it.
 
     CERTIFY: bisection of each section of SECTION_RAD; FREE when every interval is, BLOCKED as soon as one middle is, or when a
-    interval of 2^-14 of a section is still undecided. CLEARANCE: the same walk as branch and bound; a pair is settled when it
-    cannot come nearer than `best` less `tolerance` on the interval, `best` falls with every middle, and what is undecided at
-    the end counts as settled. It stops where bodies meet. SAMPLES: postures at most MOVEIT_SEGMENT_RAD apart, b included, a
-    not. POSTURE: a alone, and its smallest distance to the hand if that is below `best`.
+    interval of 2^-14 of a section is still undecided. CLOSELY: the same with exact distances. CLEARANCE: the same walk as
+    branch and bound; a pair is settled when it cannot come nearer than `best` less `tolerance` on the interval, `best` falls
+    with every middle, and what is undecided at the end counts as settled. It stops where bodies meet. SAMPLES: postures at
+    most MOVEIT_SEGMENT_RAD apart, b included, a not. POSTURE: a alone, and its smallest distance to the hand if that is
+    below `best`.
 
     All modes share one call of `check_interval`: inlined, it is most of the code of a planning kernel.
     """
@@ -76,6 +86,7 @@ def edge(
     query.other_margin = other_margin
     query.aim = wp.where(mode == CLEARANCE, 1, wp.where(mode == POSTURE and best > 0.0, 2, 0))
     query.tolerance = tolerance
+    query.closely = mode == CLOSELY
     delta = b - a
     length = float(0.0)
     for j in range(JOINTS):
@@ -138,7 +149,7 @@ def edge(
             stack[3 * level] = masks[0]
             stack[3 * level + 1] = masks[1]
             stack[3 * level + 2] = masks[2]
-        elif found.status == OPEN and mode == CERTIFY:
+        elif found.status == OPEN and mode != CLEARANCE:
             result.status = BLOCKED
             running = False
         else:

@@ -51,6 +51,7 @@ class Query:
     other_margin: float
     aim: int  # 1: look for the smallest clearance below `best` instead of a yes or no; 2: that of the hand, and both
     tolerance: float  # of that smallest clearance
+    closely: bool  # whether distances are asked as near as they go over an interval too
 
 
 @wp.struct

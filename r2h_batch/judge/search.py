@@ -10,7 +10,7 @@ from torch import Tensor
 from r2h_batch.config import ExecConfig, PlanConfig
 from r2h_batch.judge.motion.time_law import pace, path_time
 from r2h_batch.judge.planner import Planner
-from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, SAMPLES
+from r2h_batch.kernels.plan.codes import BRANCHES, CERTIFY, CLOSELY, SAMPLES
 from r2h_batch.kernels.plan.rrt import rrt_connect
 from r2h_batch.kernels.plan.shortcut import shortcut
 
@@ -27,6 +27,9 @@ DETOUR_RETRIES = 2
 """How many more searches a detour gets, with other random numbers."""
 DETOUR_ITERATIONS = 500
 """Budget of each of them, in random postures."""
+LAST_SHARES = (1.0, 0.5, *(0.0,) * 8)
+"""Where every round has found nothing: further searches, each with the largest round's budget, other random numbers and
+edges certified as closely as they can be. They keep this share of the hand clearance that the rounds have asked for."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +54,7 @@ class Search:
         large as its budget's trees. Where the path found then is a long detour the quickest of a
         few searches counts. The host asks twice which rows are left, before the first round and
         after it, and no more: asking waits for a GPU. A problem that has its path already costs
-        later rounds nothing.
+        later rounds and the last searches nothing.
         """
         rows = torch.nonzero((self.n_goals > 0) & (length == 0)).flatten().to(torch.int32)
         with_margin = self._round(rows, 0, path, length)
@@ -79,6 +82,30 @@ class Search:
             found_with = torch.where(empty, self._round(rows, i, path, length), found_with)
         fresh = torch.where(unsolved, length, 0)
         self._shorten(rows, self.config.seed, found_with, path, fresh)
+        length.copy_(torch.where(unsolved, fresh, length))
+        self._last_searches(rows, length == 0, path, length)
+
+    def _last_searches(
+        self, rows: Int32[Tensor, " r"], unsolved: Bool[Tensor, " b"],
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+    ) -> None:  # fmt: skip
+        """Those `rows` that are `unsolved` after all rounds, once more for each of LAST_SHARES; and shortcuts.
+
+        Beside the hand CERTIFY gives up some tenths of a millimetre of a pair that is settled quickly, and a goal that
+        has no more than that to spare can then never be entered: CLOSELY gives up nothing. And a way that is narrower
+        than the clearance asked for is a way.
+        """
+        found_with, budget = torch.zeros_like(self.margin[:, 0]), max(self.config.rounds)
+        mode = _closely(edge_mode_of(self.config))
+        for k, share in enumerate(LAST_SHARES):
+            empty = length == 0
+            margin = self._connect(
+                rows, budget, self.config.seed + 1000 * (k + 1), RANGE_SHRINK, path, length,
+                all_goals=True, share=share, mode=mode,
+            )  # fmt: skip
+            found_with = torch.where(empty, margin, found_with)
+        fresh = torch.where(unsolved, length, 0)
+        self._shorten(rows, self.config.seed, found_with, path, fresh, mode=mode)
         length.copy_(torch.where(unsolved, fresh, length))
 
     def _retry_detours(
@@ -122,13 +149,14 @@ class Search:
     def _connect(
         self, rows: Int32[Tensor, " r"], iterations: int, seed: int, shorter: float,
         path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], *, all_goals: bool,
+        share: float = 1.0, mode: int | None = None,
     ) -> Float32[Tensor, " b"]:  # fmt: skip
-        """One search of those `rows` whose `length` is 0; the hand clearance that paths keep."""
+        """One search of those `rows` whose `length` is 0; the hand clearance that paths keep: a `share` of the goals'."""
         b, device = len(path), path.device
         kept, n_kept, margin = goals_for_search(
             self.goals.view(b, BRANCHES, self.goals.shape[-1]),
             self.n_goals,
-            self.margin,
+            share * self.margin,
             all_goals=all_goals,
         )
         # An iteration adds one node to one tree and then as many to the other as it takes to meet
@@ -141,7 +169,7 @@ class Search:
             "range_rad": self.config.range_rad,
             "shorter": shorter,
             "seed": seed,
-            "edge_mode": edge_mode_of(self.config),
+            "edge_mode": edge_mode_of(self.config) if mode is None else mode,
             "start": self.start,
             "key": self.key,
             "goals": kept.flatten(0, 1),
@@ -163,7 +191,7 @@ class Search:
 
     def _shorten(
         self, rows: Int32[Tensor, " r"], seed: int, margin: Float32[Tensor, " b"],
-        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"],
+        path: Float32[Tensor, "b w 6"], length: Int32[Tensor, " b"], *, mode: int | None = None,
     ) -> None:  # fmt: skip
         """Shortcuts on the paths that `rows` have, as long as they save time under the arm's
         limits; in place."""
@@ -172,7 +200,7 @@ class Search:
             "enough": GOOD_ENOUGH_RATIO,
             "pace": pace(self.execute, self.planner.joint_weight),
             "seed": seed,
-            "edge_mode": edge_mode_of(self.config),
+            "edge_mode": edge_mode_of(self.config) if mode is None else mode,
             "key": self.key,
             "margin": margin,
             "trial": rows,
@@ -197,6 +225,11 @@ class Search:
 def edge_mode_of(config: PlanConfig) -> int:
     """How the kernels check an edge: CERTIFY, or SAMPLES as MoveIt does."""
     return int(SAMPLES if config.edge_check == "moveit" else CERTIFY)
+
+
+def _closely(mode: int) -> int:
+    """The same check as near as it goes; samples stay samples."""
+    return int(CLOSELY) if mode == CERTIFY else mode
 
 
 def _scratch_nodes(device: torch.device) -> int:

@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 import torch
 from problems import Batch, Problems, default_evaluator, make_batch, solve
+from rounds import each
 
 from r2h_batch import load_benchmark
 from r2h_batch.config import PlanConfig
 from r2h_batch.judge import search
 from r2h_batch.judge.motion.time_law import time_path
 from r2h_batch.methods import random
-from r2h_batch.types import PlanReason
+from r2h_batch.types import CRITERIA, PlanReason, Scores
 
 LONG_WAYS = [13, 80, 293, 592]
 """Trials whose first path takes more than twice as long as the straight line to the nearest goal."""
@@ -61,6 +62,29 @@ def test_a_long_way_to_a_far_goal_is_looked_for_again(monkeypatch):
     monkeypatch.setattr(search, "DETOUR_RATIO", math.inf)
     once = time_s(solve(scene, batch))
     assert (again < once - 1.0).all(), (once, again)
+
+
+FOUND_LAST = {(5, 665): 2.35, (1, 145): 0.1}
+"""Seed and trial of `random` on r2h-v2 where all rounds find nothing -> the clearance that its path has at least, mm. The
+first goal has 2.55 mm to spare, less than what a quickly settled pair of a finger and the hand gives away; in the second
+the way out of the hand is narrower than 3 mm."""
+
+
+def test_a_way_out_that_is_narrower_than_the_clearance_asked_for_is_found(monkeypatch):
+    evaluator = default_evaluator("r2h-v2")
+
+    def score(seed: int, trial: int) -> Scores:
+        trials = evaluator.benchmark.trials_with_ids(torch.tensor([trial]))
+        answer = random.predict(trials, evaluator.scene, seed=seed)
+        return evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
+
+    plan = CRITERIA.index("plan")
+    for (seed, trial), least_mm in each(FOUND_LAST.items()):
+        found = score(seed, trial)
+        assert int(found.plan_reason) == PlanReason.OK
+        assert least_mm < 1e3 * float(found.margin[0, plan]) < 3.0
+    monkeypatch.setattr(search, "LAST_SHARES", ())
+    assert all(int(score(*row).plan_reason) == PlanReason.NO_PATH_IN_BUDGET for row in each(FOUND_LAST))
 
 
 @pytest.mark.slow
