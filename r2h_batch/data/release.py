@@ -39,6 +39,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.base import se3
+from r2h_batch.base.declared import ours
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import path_within, printable, read_file, read_json
 from r2h_batch.base.io.write import csv_cell, write_npz, write_text
@@ -434,12 +435,14 @@ def write(out: Path, trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
         "variant": np.array([t.variant for t in ordered]),
     }
     objects = np.array([names[_key(t)] for t in ordered])
-    write_npz(out / "trials.npz", {"object": objects, **hands, **texts})
+    told = ours("frame", "length_unit")
+    write_npz(out / "trials.npz", {"object": objects, **hands, **texts, **told})
     answers = {
         "method": np.array("r2handoversim"),
         "trial_id": np.array(ids, np.int64),
         "T_obj_ee": _poses([t.T_obj_ee for t in ordered]),
         "T_world_ee": _poses([t.T_world_ee for t in ordered]),
+        **told,
     }
     write_npz(out / "predictions.npz", answers)
     moving = sum(t.q is not None for t in ordered)
@@ -602,6 +605,8 @@ def _motions(trials: Sequence[ReleaseTrial]) -> dict[str, Any]:
         "planned_length": np.array([len(q) for q in plans], np.int32),
     }
     return ({} if own else planned) | {
+        **ours("angle_unit", "time_unit"),
+        "joint_names": np.array(load_robot(DEFAULT_ROBOT).joints),
         "q": np.concatenate(traces).astype(np.float32),
         "time_s": np.concatenate([t.dt_s * np.arange(len(q)) for t, q in zip(trials, traces)]),
         "length": np.array([len(q) for q in traces], np.int32),

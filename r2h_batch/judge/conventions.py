@@ -11,6 +11,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from r2h_batch.base import se3
+from r2h_batch.base.declared import declaration
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Outcome, Scores, Trials
@@ -42,7 +43,11 @@ SLOW_S = 300.0
 USUAL_S = (0.5, 60.0)
 """How long motions last: a unit of time is named where it gives this."""
 
-UNITS_OF_TIME = (("milliseconds", 1e3), ("microseconds", 1e6), ("nanoseconds", 1e9))
+UNITS_OF_TIME = (
+    ("milliseconds", 1e3, "ms"),
+    ("microseconds", 1e6, "us"),
+    ("nanoseconds", 1e9, "ns"),
+)
 
 AT_HOME_RAD = 0.02
 """Motions whose angles, in another order, are this near to home begin there. [choice]"""
@@ -76,7 +81,7 @@ def other_poses(
             T_obj_ee,
             se3.matmul(T_world_ee, T_obj_ee),
         ),
-        "T_world_ee taken from the hand's frame into the world: T_world_hand times the pose given": (
+        f"T_world_ee taken from the hand's frame into the world: T_world_hand times the pose given {FRAME_HAND}": (
             T_obj_ee,
             se3.matmul(T_world_hand.to(T_world_ee), T_world_ee),
         ),
@@ -90,11 +95,13 @@ def other_poses(
         ),
         f"the rotation of T_obj_ee transposed: {COLUMNS}": (_transposed(T_obj_ee), T_world_ee),
         f"the rotation of T_world_ee transposed: {COLUMNS}": (T_obj_ee, _transposed(T_world_ee)),
-        "quaternions read as x, y, z, w instead of w, x, y, z": (xyzw[0], xyzw[1]),
-        "quaternions read as w, x, y, z instead of x, y, z, w": (wxyz[0], wxyz[1]),
+        f"quaternions read as x, y, z, w instead of w, x, y, z: {XYZW}": (xyzw[0], xyzw[1]),
+        f"quaternions read as w, x, y, z instead of x, y, z, w: {WXYZ}": (wxyz[0], wxyz[1]),
     }
     for degrees in (180, 90, -90):
         words = f"T_world_ee turned by {degrees} degrees about z: another base of the robot"
+        if degrees == 180:
+            words += f", as a UR's pendant has it {FRAME_BASE}"
         turned = _turn("z", degrees).to(T_world_ee).expand_as(T_world_ee)
         found[words] = (T_obj_ee, se3.matmul(turned, T_world_ee))
     for read, turn in (
@@ -107,9 +114,10 @@ def other_poses(
             times(T_obj_ee, turned),
             times(T_world_ee, turned),
         )
-    for unit, of_metre in (("millimetres", 1000.0), ("centimetres", 100.0)):
+    for unit, of_metre, word in (("millimetres", 1000.0, "mm"), ("centimetres", 100.0, "cm")):
         small = [_shrunk(T, of_metre) for T in (T_obj_ee, T_world_ee)]
-        found[f"lengths read as {unit}: they are in metres"] = (small[0], small[1])
+        told = f"({declaration('length_unit', word)})"
+        found[f"lengths read as {unit}: they are in metres {told}"] = (small[0], small[1])
         found[f"T_world_ee read in {unit}: it is in metres"] = (T_obj_ee, small[1])
         found[f"T_obj_ee read in {unit}: it is in metres"] = (small[0], T_world_ee)
     return found
@@ -158,6 +166,10 @@ def _turn(axis: str, degrees: float) -> Tensor:
     return T
 
 
+FRAME_HAND, FRAME_BASE = (f"({declaration('frame', word)})" for word in ("hand", "base"))
+XYZW, WXYZ = (
+    f"{declaration('quaternion_order', word)}, with poses of 7 numbers" for word in ("xyzw", "wxyz")
+)
 COLUMNS = "its columns are the ee's axes"
 AXES = "z points out of the gripper, and y is the axis along which it closes"
 FLANGE = "times T_flange_ee: the ee is the TCP between the fingertips, not the flange"
@@ -271,36 +283,40 @@ def motion_hint(
     rows = _eight(scores)
     if rows is not None:
         time = time_s if time_s.ndim == 1 else time_s[rows]
-        name, unit = "q read as degrees: angles are in radians", 1.0
+        degrees = declaration("angle_unit", "deg")
+        name, unit = f"q read as degrees: angles are in radians ({degrees})", 1.0
         if long and (known := _unit_of_time(median)):
-            name = f"q read as degrees and time_s as {known[0]}: rad and s are the units"
+            name = f"q read as degrees and time_s as {known[0]}: rad and s are the units ({degrees}, time_unit={known[2]})"
             unit = 1 / known[1]
         parts = [judge(rows, q[rows], time), judge(rows, q[rows] * (math.pi / 180), time * unit)]
         words = _best(scores, Scores.concatenate(parts), (name,), ROWS)
         most = float(q.abs().flatten(1).amax(1).double().median())
         if words is None and TURNED_RAD < most < math.inf:
-            words = f"the median motion has an angle of {most:.0f} rad, {most / (2 * math.pi):.0f} turns: angles are in radians"
+            words = (
+                f"the median motion has an angle of {most:.0f} rad, {most / (2 * math.pi):.0f} turns: angles are in radians"
+                f" ({degrees})"
+            )
         return words
     if not long:
         return None
     if (known := _unit_of_time(median)) is None:
         return None
     rows = torch.arange(ROWS, dtype=torch.int64, device=q.device)
-    word, of_second = known
+    word, of_second, declared = known
     found = judge(rows, q[rows], (time_s if time_s.ndim == 1 else time_s[rows]) / of_second)
     if not (found.passed.sum(1) >= scores.passed[rows].sum(1)).all():
         return None
     return (
         f"the median motion lasts {median:.0f} s; with time_s read as {word} it lasts {median / of_second:.1f} s and"
-        f" {ROWS} of {ROWS} rows pass as many criteria: times are in seconds"
+        f" {ROWS} of {ROWS} rows pass as many criteria: times are in seconds ({declaration('time_unit', declared)})"
     )
 
 
-def _unit_of_time(median: float) -> tuple[str, float] | None:
-    """The unit, and how many make a second, in which the median motion lasts as long as motions do."""
-    for name, of_second in UNITS_OF_TIME:
-        if USUAL_S[0] <= median / of_second <= USUAL_S[1]:
-            return name, of_second
+def _unit_of_time(median: float) -> tuple[str, float, str] | None:
+    """The unit, how many make a second, and its word in a file, with which the median motion lasts as long as motions do."""
+    for unit in UNITS_OF_TIME:
+        if USUAL_S[0] <= median / unit[1] <= USUAL_S[1]:
+            return unit
     return None
 
 
@@ -320,7 +336,10 @@ def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
         if (first - home[order]).abs().amax(1).max() < AT_HOME_RAD:
             read = ", ".join(names[k] for k in order)
             why = " (the alphabet's, as in /joint_states)" if order == alphabetical else ""
-            return f"all {len(q)} motions begin at home with q read in the order {read}{why}; the order is {', '.join(names)}"
+            return (
+                f"all {len(q)} motions begin at home with q read in the order {read}{why}; the order is {', '.join(names)}:"
+                f" {declaration('joint_names', 'the names of the columns')}"
+            )
     return None
 
 

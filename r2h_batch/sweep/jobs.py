@@ -41,6 +41,7 @@ from r2h_batch.trials.predictions import (
     Motions,
     align,
     check_benchmark,
+    check_frame,
     doubts,
     load_answers,
 )
@@ -269,6 +270,9 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
+LOOKED_AT = 64
+"""Rows of a file whose declared frame is compared with where the hands are."""
+
 Files = list[tuple[str, str, Answers]]
 
 
@@ -302,8 +306,9 @@ def make_jobs(setting: Setting, files: Files) -> list[Job]:
     jobs = [_method_job(name, setting.evaluator, sweep, seen, looks) for name in sweep.names]
     for path, digest, answers in files:
         planned, answers = setting.ids(0, setting.planned), answers.named(setting.names, path)
-        predictions, motions = answers.predictions, answers.motions
         robot = setting.evaluator.scene.robot
+        answers = answers.ordered(robot.joints, robot.home_q, path)
+        predictions, motions = answers.predictions, answers.motions
         if motions is not None and motions.q.shape[1] != len(robot.joints) and len(motions.q):
             words = f"motions of {motions.q.shape[1]} joints; {robot.name} has {len(robot.joints)}"
             raise FileError(f"{path}: {words}; name their robot with --robot")
@@ -312,9 +317,13 @@ def make_jobs(setting: Setting, files: Files) -> list[Job]:
             ours = setting.evaluator.benchmark.name
             LOG.info(f"{path}: does not say its benchmark; it is judged on {ours}")
         rows = align(predictions, planned, source=path, allow_missing=sweep.allow_missing)
+        if answers.frame and motions is None:
+            some = torch.nonzero(rows >= 0)[:LOOKED_AT, 0]
+            if words := check_frame(answers, rows[some], setting.trials(planned[some]), path):
+                LOG.info(words)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
-        jobs.append(Job(predictions.method, source, partial(_rows_of, predictions), rows, motions))
+        jobs.append(Job(predictions.method, source, partial(_rows_of, answers), rows, motions))
     names = [job.name for job in jobs]
     if twice := sorted({n for n in names if names.count(n) > 1}):
         how = "give each predictions file its own method name"
@@ -322,8 +331,10 @@ def make_jobs(setting: Setting, files: Files) -> list[Job]:
     return jobs
 
 
-def _rows_of(predictions: Predictions, _: Trials, rows: torch.Tensor | None) -> Predictions:
-    return predictions if rows is None else predictions[rows]
+def _rows_of(answers: Answers, trials: Trials, rows: torch.Tensor | None) -> Predictions:
+    if rows is None:
+        return answers.predictions
+    return answers.in_world(answers.predictions[rows], trials)
 
 
 def _check_postures(names: Sequence[str], evaluator: "Evaluator") -> None:

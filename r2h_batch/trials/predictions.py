@@ -4,7 +4,9 @@ An answer is a handover pose, which the evaluator plans a motion to, or a motion
 planner, which is judged as it is.
 """
 
+import contextlib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,15 +16,29 @@ import torch
 from jaxtyping import Float32, Int64
 from torch import Tensor
 
+from r2h_batch.base import se3
+from r2h_batch.base.declared import (
+    ALLOWED,
+    DECLARED,
+    FROM_BASE_M,
+    FROM_HAND_M,
+    OF_OBJECT_M,
+    Declared,
+    declaration,
+    joint_columns,
+    ours,
+    taken,
+    unit_of,
+)
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
 from r2h_batch.base.io.read import open_file, printable, read_npz
-from r2h_batch.base.io.tables import read_csv_arrays, read_json_arrays
+from r2h_batch.base.io.tables import MAX_CSV_BYTES, read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
 from r2h_batch.base.validate import instance_of, text
 from r2h_batch.base.validate import path as path_rule
 from r2h_batch.base.validate_tensors import check_tensor
-from r2h_batch.types import Predictions
+from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS
 
 MAX_BYTES = 8 << 30
@@ -38,7 +54,9 @@ _SPECS: dict[str, Spec] = {
 }  # fmt: skip
 _CSV = {
     "trial_id": ("int64", 1), **dict.fromkeys(_POSES, ("float64", 16)), "t_method_s": ("float64", 1),
+    **dict.fromkeys(ALLOWED, ("string", 1)),
 }  # fmt: skip
+_CSV_QUATERNIONS = {**_CSV, **dict.fromkeys(_POSES, ("float64", 7))}
 _MOTION_KEYS = ("q", "time_s", "length")
 _LENGTH_OF = {"q": "length", "time_s": "length", "planned_q": "planned_length"}
 _HOW_MOTIONS = (
@@ -92,6 +110,47 @@ class Answers:
     """texts that name the trials; None: `predictions.trial_id` does"""
     benchmark: str = ""
     """`Trials.benchmark` of the trials that they answer; empty: the file does not say"""
+    frame: str = ""
+    """what the file declares of `T_world_ee`: `hand` is still to be taken into the world (`in_world`)"""
+    joint_names: tuple[str, ...] = ()
+    """of the columns of q, where the file declares them"""
+
+    def in_world(self, poses: Predictions, trials: Trials) -> Predictions:
+        """Poses of these answers in the world, each of the trial in its row."""
+        if self.frame != "hand":
+            return poses
+        T_world_hand = trials.T_world_hand.to(poses.T_world_ee)
+        return replace(poses, T_world_ee=se3.matmul(T_world_hand, poses.T_world_ee))
+
+    def ordered(self, joints: Sequence[str], home: Sequence[float], source: str) -> "Answers":
+        """The same with the joints in a robot's order, where the file names its columns.
+
+        Args:
+            joints: of the robot.
+            home: the posture at which its motions begin as a rule, rad.
+            source: where the answers come from, for messages.
+
+        Raises:
+            FileError: a joint is not named, or the motions begin at home as they stand, and not as they are named.
+        """
+        if not self.joint_names or self.motions is None:
+            return self
+        at, motions = joint_columns(self.joint_names, joints, source), self.motions
+        length = motions.length[motions.length > 0]
+        first = motions.q[length.cumsum(0) - length]
+        if first.shape[1:] == (len(home),) and len(first):
+            off = (first[:, [at, list(range(len(home)))]] - first.new_tensor(list(home))).abs()
+            named, given = off.amax(2).unbind(1)
+            if given.max() < AT_HOME_RAD < named.min():
+                raise FileError(
+                    f"{source}: all {len(first)} motions begin at home with the columns as they stand, and none with the"
+                    f" order of joint_names: name the columns of q in their order; it seems to be {', '.join(joints)}"
+                )
+        plans = motions.planned_q
+        motions = replace(
+            motions, q=motions.q[:, at], planned_q=None if plans is None else plans[:, at]
+        )
+        return replace(self, motions=motions)
 
     def named(self, trial_ids: dict[str, int] | None, source: str) -> "Answers":
         """The same with the numbers of the trials that are named by text.
@@ -112,6 +171,7 @@ class Answers:
 def load_predictions(path: str | Path) -> Predictions:
     """Read predictions from a .npz file, or a .json file of the same arrays as lists, or a .csv file
     with the columns trial_id, T_obj_ee_0 to _15, T_world_ee_0 to _15 (row by row) and t_method_s.
+    Conventions that the file declares (docs/howto/method.md) are converted.
 
     Args:
         path: the file.
@@ -128,6 +188,11 @@ def load_predictions(path: str | Path) -> Predictions:
         raise FileError(f"{printable(path)}: holds motions; judge them with --motions")
     if answers.ids is not None:
         raise FileError(f"{printable(path)}: names trials by id; give trial_id")
+    if answers.frame == "hand":
+        raise FileError(
+            f"{printable(path)}: declares frame=hand; sweep the file, which knows its trials, or write T_world_ee ="
+            " trials.T_world_hand @ T_hand_ee"
+        )
     return answers.predictions
 
 
@@ -144,6 +209,7 @@ def load_answers(path: str | Path) -> Answers:
     try:
         arrays, method = _arrays(path, suffix)
         shown = printable(path)
+        declared = taken(arrays, shown)
         benchmark = _one_text(arrays.pop("benchmark", np.array("")), "benchmark", shown)
         ids = None
         if "id" in arrays:
@@ -152,27 +218,52 @@ def load_answers(path: str | Path) -> Answers:
             if "trial_id" in arrays:
                 raise FileError(f"{shown}: has trial_id and id; give one of the two")
             arrays["trial_id"] = np.arange(len(ids))
+        for name in arrays.keys() & set(_POSES):
+            arrays[name] = declared.poses(name, arrays[name])
+        if "t_method_s" in arrays:
+            arrays["t_method_s"] = declared.times(arrays["t_method_s"])
         if not arrays.keys() & set(_MOTION_KEYS):
-            return Answers(_checked(path, arrays, method), None, ids, benchmark)
+            if declared.joint_names:
+                raise FileError(f"{shown}: declares joint_names, and has no motions (q)")
+            poses = _declared_poses(_checked(path, arrays, method), declared)
+            return Answers(poses, None, ids, benchmark, declared.frame)
         how = _HOW_MOTIONS
-        motions = _motions(arrays, shown)
+        motions = _motions(arrays, shown, declared)
         if "T_world_ee" not in arrays:
             if not bool((motions.length > 0).all()):
                 raise FileError(f"{shown}: length of some trial is 0, and there is no T_world_ee")
             arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
-        return Answers(_checked(path, arrays, method), motions, ids, benchmark)
+        poses = _declared_poses(_checked(path, arrays, method), declared)
+        return Answers(poses, motions, ids, benchmark, declared.frame, declared.joint_names)
     except FileError as error:
         raise FileError(f"{error}; {how}") from error
 
 
-def _motions(arrays: dict[str, Any], shown: str) -> Motions:
+def _declared_poses(poses: Predictions, declared: Declared) -> Predictions:
+    """Poses in the world, but for those in the hand's frame; their unit is looked at."""
+    declared.check_lengths("T_obj_ee", poses.T_obj_ee.detach().cpu().numpy(), OF_OBJECT_M)
+    far = FROM_HAND_M if declared.frame == "hand" else FROM_BASE_M
+    declared.check_lengths("T_world_ee", poses.T_world_ee.detach().cpu().numpy(), far)
+    if declared.frame != "base":
+        return poses
+    T_world_ee = declared.in_world(poses.T_world_ee.numpy())
+    return replace(poses, T_world_ee=torch.from_numpy(T_world_ee))
+
+
+def _motions(arrays: dict[str, Any], shown: str, declared: Declared) -> Motions:
     """The motions among the arrays, which lose them."""
     if missing := [k for k in _MOTION_KEYS if k not in arrays]:
         raise FileError(f"{shown}: has no {missing[0]}")
     n, lengths = len(arrays.get("trial_id", ())), dict[str, int]()
     length = _lengths("length", arrays.pop("length"), n, shown)
     q = _samples("q", arrays.pop("q"), (int(length.sum()), "joints"), "length", shown, lengths)
-    time_s = _samples("time_s", arrays.pop("time_s"), (len(q),), "length", shown)
+    if (n_names := len(declared.joint_names)) not in (0, q.shape[1]):
+        raise FileError(f"{shown}: joint_names has {n_names} names, and q {q.shape[1]} columns")
+    declared.check_angles("q", q, length)
+    q = declared.angles(q)
+    time_s = declared.times(arrays.pop("time_s"))
+    time_s = _samples("time_s", time_s, (len(q),), "length", shown)
+    declared.check_times(time_s, length)
     first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
     with np.errstate(over="ignore", invalid="ignore"):
         # a time of day in float32 would have steps of milliseconds
@@ -186,7 +277,7 @@ def _motions(arrays: dict[str, Any], shown: str) -> Motions:
             planned = _samples(
                 "planned_q", planned, (int(plan.sum()), "joints"), "planned_length", shown, lengths
             )
-            found += [planned.astype(np.float32), plan]
+            found += [declared.angles(planned).astype(np.float32), plan]
     return Motions(*map(torch.from_numpy, found))
 
 
@@ -225,8 +316,10 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
     if suffix == ".parquet":
         return _parquet(path), path.stem
     if suffix == ".csv":
-        arrays = read_csv_arrays(path, _CSV)
-        poses = {k: v.reshape(-1, 4, 4) for k, v in arrays.items() if v.ndim == 2}
+        with open_file(path, MAX_CSV_BYTES) as file:
+            quaternions = b"quaternion_order" in file.readline(1 << 20)
+        arrays = read_csv_arrays(path, _CSV_QUATERNIONS if quaternions else _CSV)
+        poses = {k: v.reshape(-1, 4, 4) for k, v in arrays.items() if v.shape[1:] == (16,)}
         return {**arrays, **poses}, path.stem
     with open_file(path, MAX_BYTES) as file:
         magic = file.read(16)
@@ -259,24 +352,41 @@ def _parquet(path: Path) -> dict[str, Any]:
     """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
     from r2h_batch.base.io.parquet import read_parquet_arrays  # 0.1 s, for few files
 
-    arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=["id"])
+    texts = ["id", *DECLARED]
+    arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=texts)
+    if "joint_names" in counts:
+        arrays["joint_names"] = _of_rows(arrays["joint_names"], counts["joint_names"], path)
+    width = 7 if "quaternion_order" in arrays else 16
     for name, length in _LENGTH_OF.items():
         if name in counts:
             arrays.setdefault(length, counts[name])
     for name in arrays.keys() & {"T_obj_ee", "T_world_ee"}:
         widths = counts.get(name, np.ones(1))
-        if (odd := widths != 16).any():
+        if (odd := widths != width).any():
             row = int(odd.argmax())
             found = f"{name!r} has {widths[row]} numbers in row {row}"
-            raise FileError(f"{printable(path)}: {found}; it needs 16 numbers a row")
+            need = f"it needs {width} numbers a row"
+            if width == 16 and (widths == 7).all():
+                need += ", or 7 and a column quaternion_order (wxyz or xyzw)"
+            raise FileError(f"{printable(path)}: {found}; {need}")
     for name in arrays.keys() & {"T_obj_ee", "T_world_ee", "q", "planned_q"}:
         size, rows = arrays[name].size, int(np.sum(counts.get(name, 0)))
-        shape = (rows, size // max(rows, 1)) if name in _LENGTH_OF else (size // 16, 4, 4)
+        of_pose = (4, 4) if width == 16 else (7,)
+        shape = (rows, size // max(rows, 1)) if name in _LENGTH_OF else (size // width, *of_pose)
         if size != math.prod(shape):
-            need = "lists of one angle a joint" if name in _LENGTH_OF else "16 numbers a row"
+            need = "lists of one angle a joint" if name in _LENGTH_OF else f"{width} numbers a row"
             raise FileError(f"{printable(path)}: {name!r} has {size} numbers; it needs {need}")
         arrays[name] = arrays[name].reshape(shape)
     return arrays
+
+
+def _of_rows(values: Any, counts: Any, path: Path) -> Any:
+    """(N, K) of the texts of N rows, K each."""
+    if not len(counts) or (counts != counts[0]).any():
+        raise FileError(
+            f"{printable(path)}: 'joint_names' has lists of different lengths; all must have one"
+        )
+    return values.reshape(len(counts), -1)
 
 
 def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
@@ -285,8 +395,8 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
         found = f"method {printable(method[:120])!r}"
         raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
     optional, poses = ("t_method_s",), ("T_obj_ee", "T_world_ee", "t_method_s")
-    taken = ("method", "benchmark")
-    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses, taken=taken)[
+    others = ("method", "benchmark", *DECLARED)
+    n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses, taken=others)[
         "N"
     ]
     ids = arrays.pop("trial_id")
@@ -331,6 +441,56 @@ def check_benchmark(answers: Answers, benchmark: str, source: str) -> None:
         )
 
 
+AT_HOME_RAD = 0.02
+"""A posture whose angles are all so near to home is home [choice]."""
+AT_HAND_M, TIMES_AS_FAR = 0.35, 3.0
+"""Grippers of a handover lie so near to the hand, as a median; in a wrong frame so many times as far [choice]."""
+
+
+def check_frame(answers: Answers, rows: Tensor, trials: Trials, source: str) -> str | None:
+    """Looks whether the grippers lie far from the hands in the declared frame, and near to them in another one. The world is
+    what files mean that say nothing, and what `write_predictions` says: then it is a line. Another frame is refused.
+
+    Args:
+        answers: of a file.
+        rows: (n,) rows of the answers that are looked at.
+        trials: the n trials that they answer.
+        source: where the answers come from, for messages.
+
+    Returns:
+        The line; None where the frame is right.
+
+    Raises:
+        FileError: the frame cannot be the one that is declared.
+    """
+    if not answers.frame or not len(rows):
+        return None
+    T_world_hand = trials.T_world_hand.cpu()
+    turned = Declared(frame="base")
+    given = answers.predictions.T_world_ee[rows]
+    raw = given if answers.frame != "base" else torch.from_numpy(turned.in_world(given.numpy()))
+    read = {
+        "world": raw,
+        "base": torch.from_numpy(turned.in_world(raw.numpy())),
+        "hand": se3.matmul(T_world_hand, raw),
+    }
+    own = "world" if answers.frame == "base_link" else answers.frame
+    apart = {
+        name: float((T[:, :3, 3] - T_world_hand[:, :3, 3]).norm(dim=1).nanmedian())
+        for name, T in read.items()
+    }
+    near = min(apart, key=lambda name: apart[name])
+    if apart[near] >= AT_HAND_M or apart[own] <= TIMES_AS_FAR * apart[near]:
+        return None
+    words = (
+        f"{source}: frame is {answers.frame}, and the median gripper is then {apart[own]:.2f} m from the hand; with"
+        f" {near} it is {apart[near]:.2f} m: declare the frame of the poses"
+    )
+    if own != "world":
+        raise FileError(words)
+    return words
+
+
 def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: str = "") -> None:
     """Write predictions to a .npz file; `load_predictions` reads them back equal.
 
@@ -357,6 +517,10 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
         shown = printable(path)
         raise FileError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
     told = {"benchmark": np.array(benchmark)} if text("benchmark", benchmark) else {}
+    told |= ours("frame", "time_unit")
+    with contextlib.suppress(FileError):  # whoever reads poses in other units is warned instead
+        _declared_poses(predictions, Declared(length_unit="m"))
+        told |= ours("length_unit")
     write_npz(path, {"method": np.array(method), **told, **data})
 
 
@@ -408,13 +572,19 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
             continue
         fault = np.concatenate([faults(T[k : k + _PIECE]) for k in range(0, n, _PIECE)])
         far = (fault == 0) & (np.abs(T[:, :3, 3]).max(1, initial=0.0) > FAR_M)
+        metres = f"are more than {FAR_M:g} m away: lengths are in metres"
+        if far.any() and name == "T_world_ee":
+            unit = unit_of(
+                float(np.median(np.linalg.norm(T[far, :3, 3].astype(np.float64), axis=1)))
+            )
+            metres += f" ({declaration('length_unit', unit)})" if unit else ""
         kinds = [(k, int((fault == k).sum())) for k in range(1, len(FAULTS)) if (fault == k).any()]
         of_each = "; ".join(
             f"{count if len(kinds) > 1 else 'all'} {FAULTS[k]}" for k, count in kinds
         )
         for odd, words in (
             (fault > 0, f"are not rigid poses and count as invalid: {of_each}"),
-            (far, f"are more than {FAR_M:g} m away: lengths are in metres"),
+            (far, metres),
         ):
             if odd.any():
                 first = int(given.trial_id[int(odd.argmax())])

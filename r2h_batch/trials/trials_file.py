@@ -18,6 +18,8 @@ hand length in metres, 0 standing or 1 seated |
 | `id`, `variant` | (N,) text | text | optional: what its owner calls the trial, and the method behind
 it |
 
+`frame` (world, base_link or base), `length_unit` and `angle_unit` (of `pose`) may be declared (r2h_batch/base/declared.py).
+
 A .json holds the arrays of the .npz by name, as lists. A .csv has the columns object, hand,
 T_world_hand_0 to _15, and receiver_0 to _19, person_0 to _4, id and variant if they are said.
 """
@@ -33,6 +35,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from r2h_batch.base.declared import Declared, taken
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import RIGID, Spec, check_arrays, check_poses
 from r2h_batch.base.io.read import printable, read_npz
@@ -51,7 +54,8 @@ POSTURE = ("pose", "shape", "side")
 WIDTH = {"T_world_hand": 16, "pose": 48, "shape": 10, "receiver": 20, "person": 5}
 BODY = ("receiver", "person")
 LABELS = ("id", "variant")
-TEXTS = ("object", *LABELS)
+DECLARES = ("frame", "length_unit", "angle_unit")
+TEXTS = ("object", *LABELS, *DECLARES)
 SKIN: dict[str, Spec] = {
     "skin": ("f", ("H", "V", 3)), "T_hand_palm": ("f", ("H", 4, 4)), "skin_faces": ("iu", ("F", 3)),
     "skin_piece": ("iu", ("F",)), "skin_side": ("iu", ("H",)),
@@ -83,6 +87,7 @@ def read_trials_file(
     if path.suffix not in READERS:
         raise FileError(f"{where}: trials are an {', '.join(READERS)} file")
     columns = READERS[path.suffix](path)
+    _convert(columns, taken(columns, where, DECLARES))
     if "skin" in columns:
         hand_set = _skins(columns, where)
     _check_columns(columns, where)
@@ -111,6 +116,38 @@ def read_trials_file(
         person=None if person is None else torch.from_numpy(person[order]),
     )
     return trials, hand_set, _labels(columns, ids, order, where)
+
+
+def _convert(columns: Columns, declared: Declared) -> None:
+    """Take the columns into our conventions, in place."""
+    if declared.frame == "hand":
+        raise FileError(
+            f"{declared.where}: frame is 'hand', which these trials define; allowed are world, base_link, base"
+        )
+    for name in columns.keys() & {"T_world_hand", "T_hand_palm"}:
+        columns[name] = declared.poses(name, columns[name])
+    if "T_world_hand" in columns:
+        columns["T_world_hand"] = declared.in_world(columns["T_world_hand"])
+    if "pose" in columns:
+        columns["pose"] = declared.angles(columns["pose"])
+    if "skin" in columns:
+        columns["skin"] = declared.lengths(columns["skin"])
+    for name in columns.keys() & {"receiver", "person"}:
+        if columns[name].dtype.kind == "f" and columns[name].shape[1:] == SPECS[name][1][1:]:
+            columns[name] = _converted_body(name, columns[name].astype(np.float64), declared)
+
+
+def _converted_body(name: str, value: NDArray[Any], declared: Declared) -> NDArray[Any]:
+    """`receiver` or `person` in our conventions."""
+    if name == "person":
+        value[:, 2:4] = declared.lengths(value[:, 2:4])  # stature, hand length
+        return value
+    value[:, :, :3] = declared.lengths(value[:, :, :3])
+    value[:, :2, 3] = declared.lengths(value[:, :2, 3])  # radii
+    value[:, :4, :3] = declared.in_world(value[:, :4, :3])
+    if declared.frame == "base":
+        value[:, 3:, 3] *= -1  # the way the torso faces
+    return value
 
 
 def _bodies(

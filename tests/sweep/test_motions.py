@@ -7,6 +7,7 @@ import pytest
 from sweep_command import in_process
 
 from r2h_batch.runs.store import load_run
+from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.sweep.results.judge import Judge
 from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.verdicts import CRITERIA
@@ -118,6 +119,33 @@ def test_parquet_holds_the_same_motions(planned):
     a = judged(folder, folder / "motions.npz", "npz").trials("my planner").drop_columns(["t_method_s", "t_plan_s"])
     b = judged(folder, folder / "m.parquet", "parquet").trials("m").drop_columns(["t_method_s", "t_plan_s"])
     assert a.equals(b)
+
+
+def test_motions_of_joint_states_in_degrees_and_milliseconds_get_the_same_verdicts_once_they_say_so(planned):
+    folder, own, data = planned
+    joints, T = load_robot(own.robot).joints, data["T_world_ee"].copy()
+    T[:, :2] = 0 - T[:, :2]  # in the frame of a UR's pendant
+    order = sorted(range(6), key=lambda k: joints[k])
+    said = {"frame": "base", "joint_names": [joints[k] for k in order], "angle_unit": "rad", "time_unit": "s"}
+    turned = {**data, "T_world_ee": T, "q": data["q"][:, order]}
+    np.savez(folder / "turned.npz", **turned, **said)
+    said |= {"angle_unit": "deg", "time_unit": "ms", "length_unit": "mm"}
+    other = {"q": np.rad2deg(turned["q"].astype(float)), "time_s": data["time_s"] * 1e3, "T_world_ee": T.astype(float)}
+    other["T_obj_ee"] = data["T_obj_ee"].astype(float)
+    for name in ("T_obj_ee", "T_world_ee"):
+        other[name][:, :3, 3] *= 1e3
+    np.savez(folder / "units.npz", **{**turned, **other}, **said)
+    times = ["t_method_s", "t_plan_s"]
+    rows = [
+        judged(folder, folder / f"{name}.npz", f"declared-{name}").trials("my planner").drop_columns(times)
+        for name in ("motions", "turned", "units")
+    ]
+    assert rows[0].equals(rows[1])  # signs and orders keep every bit
+    for name in ("outcome", *(f"passed_{c}" for c in CRITERIA)):
+        assert rows[0][name].equals(rows[2][name]), name
+    for c in CRITERIA:
+        near = [np.array(r[f"margin_{c}_m"].to_pylist(), float) for r in (rows[0], rows[2])]
+        np.testing.assert_allclose(*near, atol=2e-5)
 
 
 @pytest.mark.parametrize(

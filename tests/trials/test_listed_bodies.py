@@ -64,6 +64,43 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
     assert a.outcome.equal(b.outcome) and a.margin.nan_to_num().equal(b.margin.nan_to_num())
 
 
+@pytest.mark.parametrize("ending", [".npz", ".json", ".parquet", ".csv"])
+def test_bodies_in_another_frame_and_other_units_are_the_same_once_they_say_so(tmp_path, ending):
+    columns, _ = with_bodies(2)
+    del columns["shape"], columns["side"], columns["pose"]
+    columns["hand"] = np.arange(4)
+    other = {k: v.astype(np.float64) if v.dtype.kind == "f" else v.copy() for k, v in columns.items()}
+    turn = np.diag([-1.0, -1, 1, 1])
+    other["T_world_hand"] = turn @ other["T_world_hand"]
+    other["T_world_hand"][:, :3, 3] *= 100
+    other["receiver"][:, :4, :2] *= -1
+    other["receiver"][:, 3:, 3] *= -1
+    other["receiver"][:, :, :3] *= 100
+    other["receiver"][:, :2, 3] *= 100
+    other["person"][:, 2:4] *= 100
+    said = dict.fromkeys(["frame"], "base") | {"length_unit": "cm"}
+    found = []
+    for name, data in (("ours", columns), ("theirs", other | {k: np.full(4, v) for k, v in said.items()})):
+        path = tmp_path / f"{name}{ending}"
+        lists = {k: v.reshape(len(v), -1).tolist() if v.ndim > 1 else v.tolist() for k, v in data.items()}
+        if ending == ".npz":
+            np.savez(path, **data)
+        elif ending == ".json":
+            path.write_text(json.dumps({k: v.tolist() for k, v in data.items()}))
+        elif ending == ".parquet":
+            pq.write_table(pa.table(lists), path)
+        else:
+            flat = {}
+            for k, rows in lists.items():
+                wide = isinstance(rows[0], list)
+                flat |= {f"{k}_{j}": [r[j] for r in rows] for j in range(len(rows[0]))} if wide else {k: rows}
+            lines = [",".join(flat), *(",".join(map(str, r)) for r in zip(*flat.values(), strict=True))]
+            path.write_text("\n".join(lines))
+        found.append(edited(BenchmarkChoice("r2h-v2", trials_file=str(path))).trials(2))
+    for name in ("T_world_hand", "receiver", "person"):
+        torch.testing.assert_close(getattr(found[0], name), getattr(found[1], name), atol=1e-6, rtol=0)
+
+
 def test_a_csv_says_bodies_number_by_number(tmp_path):
     columns, wanted = with_bodies(2)
     table = {"object": columns["object"], "hand": np.arange(4)}

@@ -98,7 +98,8 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
     assert doubts(Predictions(ids, T_bad, far)) == [
         "4 of 5 grasps (T_obj_ee; the first of trial 3) are not rigid poses and count as invalid: all are transposed: pass"
         " T.transpose(-1, -2)",
-        "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres",
+        "3 of 5 handover poses (T_world_ee; the first of trial 0) are more than 10 m away: lengths are in metres (a file may"
+        " declare length_unit=mm)",
     ]
     far[0, 0, 0] = torch.nan
     assert (

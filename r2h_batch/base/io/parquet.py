@@ -51,7 +51,7 @@ def read_parquet_arrays(
         path: the file.
         most: largest decoded size of all columns, bytes.
         rows: largest number of rows.
-        text: names of the columns of text, read as dictionaries.
+        text: names of the columns of text or of lists of texts, read as dictionaries.
         row_bytes: largest decoded size of a row, beside 1 MiB for all; None: `most` alone.
 
     Returns:
@@ -161,10 +161,11 @@ def _arrays(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     found: dict[str, Any] = {}
     counts: dict[str, Any] = {}
-    there = pq.read_schema(stream).names
+    schema = pq.read_schema(stream)
     stream.seek(0)
-    words = [name for name in text if name in there]
-    with pq.ParquetFile(stream, read_dictionary=words, page_checksum_verification=True) as file:
+    words = [name for name in text if name in schema.names]
+    alone = [name for name in words if not _is_list(schema.field(name).type)]
+    with pq.ParquetFile(stream, read_dictionary=alone, page_checksum_verification=True) as file:
         if (n := file.metadata.num_rows) > rows:
             raise FileError(f"{n} rows; at most {rows} are allowed")
         check_decoded_size(
@@ -189,6 +190,8 @@ def _arrays(
         if column.null_count:
             raise FileError(f"{shown!r} has {column.null_count} empty entries; none may be")
         if name in words:
+            if name in counts and types.is_string(column.type):
+                column = column.dictionary_encode()
             found[name] = _texts(column, name)
         else:
             found[name] = column.to_numpy(zero_copy_only=False)

@@ -21,6 +21,9 @@ Parts are one of:
     `role` (., P) of AffNet's affordances: 0 works, 1 grasp, 2 wrap-grasp
 
 Contacts: `probability` (., P) in [0, 1] that a person touches the point.
+
+A file of hands may declare `frame`, `length_unit`, `angle_unit` and `quaternion_order` (with T of 7 numbers), one of points
+`length_unit` (r2h_batch/base/declared.py).
 """
 
 from __future__ import annotations
@@ -38,6 +41,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from r2h_batch.base.declared import Declared, taken
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.arrays import Spec, check_arrays, check_poses
 from r2h_batch.base.io.read import printable, read_npz
@@ -193,20 +197,28 @@ def rows_of(ids: NDArray[np.int64], wanted: NDArray[np.int64]) -> NDArray[np.int
     return at
 
 
-def _read(path: Path, allowed: Sequence[str]) -> tuple[Arrays, str]:
-    """Arrays of known names, and the network's name."""
+def _read(
+    path: Path, allowed: Sequence[str], declares: Sequence[str] = ("length_unit",)
+) -> tuple[Arrays, str, Declared]:
+    """Arrays of known names, the network's name, and which of `declares` the file declares."""
     where = printable(path)
     if path.suffix != ".npz":
         raise FileError(f"{where}: predictions of networks are an .npz file")
     arrays = read_npz(path)
+    declared = taken(arrays, where, declares)
+    if declared.frame == "hand":
+        raise FileError(
+            f"{where}: frame is 'hand', which these hands define; allowed are world, base_link, base"
+        )
     source = arrays.pop("source", np.array(path.stem))
     name = str(source) if source.shape == () and source.dtype.kind == "U" else ""
     if not name.strip() or len(name) > 60 or not name.isprintable():
         raise FileError(f"{where}: source is not a name; give 1 to 60 printable characters")
     if unknown := sorted(set(arrays) - set(allowed)):
         shown = repr(printable(unknown[0])[:60])
-        raise FileError(f"{where}: unknown array {shown}; allowed are {', '.join(allowed)}, source")
-    return arrays, name
+        listed = ", ".join((*allowed, "source", *declares))
+        raise FileError(f"{where}: unknown array {shown}; allowed are {listed}")
+    return arrays, name, declared
 
 
 def _need(where: str, arrays: Arrays, name: str, spec: Spec) -> NDArray[Any]:
@@ -234,7 +246,8 @@ def _hands(path: Path, model: HandModel) -> dict[str, ExternalHands]:
     names = [
         f"{k}_{n}" for k, T in frames.items() for n in (T, "pose", "shape", "joints", "vertices")
     ]
-    arrays, source = _read(path, ("trial_id", *names))
+    arrays, source, declared = _read(path, ("trial_id", *names), HANDS_DECLARE)
+    arrays = {name: _converted(name, value, declared) for name, value in arrays.items()}
     where = printable(path)
     ids, order = _trial_ids(where, arrays)
     found = {}
@@ -252,6 +265,25 @@ def _hands(path: Path, model: HandModel) -> dict[str, ExternalHands]:
     if not found:
         raise FileError(f"{where}: holds no hands; allowed are {', '.join(names)}")
     return found
+
+
+HANDS_DECLARE = ("frame", "length_unit", "angle_unit", "quaternion_order")
+
+
+def _converted(name: str, value: NDArray[Any], declared: Declared) -> NDArray[Any]:
+    """An array of hands in our conventions. Only the target's hands are in the world."""
+    if name in ("trial_id",) or value.dtype.kind != "f":
+        return value
+    kind, _, rest = name.partition("_")
+    if rest.startswith("T_"):
+        value = declared.poses(name, value)
+    elif rest in ("joints", "vertices"):
+        value = declared.lengths(value)
+    elif rest == "pose":
+        return declared.angles(value)
+    else:
+        return value
+    return declared.in_world(value) if kind == "target" else value
 
 
 def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Arrays:
@@ -285,7 +317,8 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
     if wrong.any():
         row = int(wrong.argmax())
         raise FileError(
-            f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres"
+            f"{where}: the hand of row {row} is {side[row]:.3g} m large; lengths are in metres, or declare"
+            " length_unit"
         )
     joints = _need(where, a, "joints", ("f", (n, "V", 3)))
     if joints.shape[1] not in (16, 21):
@@ -300,8 +333,10 @@ def _one_hand(where: str, a: Arrays, frame: str, n: int, model: HandModel) -> Ar
 
 
 def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
-    arrays, source = _read(path, (*ROWS, "label", "usage", "role"))
+    arrays, source, declared = _read(path, (*ROWS, "label", "usage", "role"))
     where = printable(path)
+    if "points" in arrays:
+        arrays["points"] = declared.lengths(arrays["points"])
     if ("role" in arrays) == ("label" in arrays):
         raise FileError(f"{where}: give either role, or label (with usage)")
     if "label" in arrays and "usage" not in arrays and any(o.split == "S1" for o in objects):
@@ -319,8 +354,10 @@ def _parts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
 
 
 def _contacts(path: Path, objects: Sequence[ObjectModel]) -> ExternalPoints:
-    arrays, source = _read(path, (*ROWS, "probability"))
+    arrays, source, declared = _read(path, (*ROWS, "probability"))
     where = printable(path)
+    if "points" in arrays:
+        arrays["points"] = declared.lengths(arrays["points"])
     value = _need(where, arrays, "probability", ("f", ("N", "P")))
     if value.size and not 0 <= value.min() <= value.max() <= 1:
         raise FileError(

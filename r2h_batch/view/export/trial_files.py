@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
+from r2h_batch.base.declared import OURS
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.methods.grasps import Candidates
 from r2h_batch.scene.hand import HandSet, palm_frame
@@ -116,6 +117,7 @@ def _header(
             "objects": object_digest(benchmark.objects),
             "hand_set": benchmark.hand_set.digest,
         },
+        "conventions": {**OURS, "joint_names": list(benchmark.robot.joints)},
         "thresholds": asdict(benchmark.thresholds),
         "workplace": asdict(benchmark.workplace),
         "objects": [
@@ -166,6 +168,14 @@ def _trial_arrays(trials: Trials, benchmark: Benchmark, hands: Arrays) -> Arrays
     index = "index of the object, as in manifest.json"
     found: Arrays = {
         "trial_id": (trials.trial_id.numpy(), ids),
+        "frame": (
+            np.array(OURS["frame"]),
+            "of all poses T_world_*; predictions may declare another",
+        ),
+        "length_unit": (
+            np.array(OURS["length_unit"]),
+            "of all lengths; predictions may declare another",
+        ),
         "benchmark": (np.array(trials.benchmark), "whose trials they are; predictions name it too"),
         "split": text["split"],
         "object_index": (trials.object_index.numpy(), index),
@@ -251,7 +261,8 @@ def _readme(manifest: dict, sweep: str) -> str:
         "",
         "A method answers every trial with the grasp `T_obj_ee` and the handover pose `T_world_ee`:",
         "",
-        "    np.savez('mine.npz', trial_id=trials['trial_id'], T_obj_ee=..., T_world_ee=..., method='mine')",
+        "    np.savez('mine.npz', trial_id=trials['trial_id'], T_obj_ee=..., T_world_ee=..., method='mine',",
+        "             frame='world', length_unit='m')",
         f"    python -m r2h_batch.sweep --predictions mine.npz {sweep}",
         "",
         "All arrays load with `np.load(FILE)`; `None` in a shape depends on the object.",
@@ -322,6 +333,7 @@ def _frames(benchmark: Benchmark) -> dict[str, Any]:
         "protocol": benchmark.protocol,
         "benchmark_digest": benchmark.digest,
         "robot": robot.name,
+        "conventions": {**OURS, "joint_names": list(robot.joints)},
         "joints": list(robot.joints),
         "home_rad": list(home),
         "T_world_ee_at_home": np.asarray(ee_pose(robot, home)).tolist(),
@@ -354,7 +366,8 @@ your own robot model for `home_rad` and compare it with `T_world_ee_at_home` bef
 
 Answer every trial with the grasp `T_obj_ee` and the handover pose `T_world_ee`, as JSON:
 
-    {"method": "mine", "trial_id": [0, ...], "T_obj_ee": [[[4 numbers], ...4], ...], "T_world_ee": [...]}
+    {"method": "mine", "frame": "world", "length_unit": "m", "trial_id": [0, ...],
+     "T_obj_ee": [[[4 numbers], ...4], ...], "T_world_ee": [...]}
 
     ANSWER
 """

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from r2h_batch.base.declared import OURS
 from r2h_batch.base.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.study.real import OUTCOME_COLUMNS
@@ -81,6 +82,7 @@ def write_trial(
             write_text(folder / f"{name}.script", program)
     T, first = robot.T_flange_ee, (*stored.before, stored)[0]
     about = describe(stored)
+    about["conventions"] = {**OURS, "joint_names": list(robot.joints)}
     about["lab"] = {
         "frames": "world = base_link of ROS 2; a UR's pendant counts in base, turned by half a turn about z",
         "T_base_world": T_base_world.tolist(),

@@ -100,6 +100,27 @@ def test_skins_with_21_joints_say_the_same_hand(scene, asked, seen_in):
         assert torch.equal(mine.side, other.side)
 
 
+@pytest.mark.parametrize("form", ["mano", "skin"])
+def test_hands_in_another_frame_and_other_units_are_the_same_hands_once_they_say_so(scene, asked, seen_in, form):
+    arrays, turn = truth(scene, asked, predict_receiving, form), np.diag([-1.0, -1, 1, 1])
+    said = {"frame": "base", "length_unit": "cm", "angle_unit": "deg"}
+    other = {k: v.astype(np.float64) if v.dtype.kind == "f" else v for k, v in arrays.items()}
+    for name in other.keys() - {"trial_id"}:
+        kind, _, rest = name.partition("_")
+        if rest == "pose":
+            other[name] = np.rad2deg(other[name])
+        elif rest.startswith("T_"):
+            other[name] = turn @ other[name] if kind == "target" else other[name]
+            other[name][:, :3, 3] *= 100
+        elif rest in ("joints", "vertices"):
+            other[name] = 100 * (other[name] @ turn[:3, :3] if kind == "target" else other[name])
+    ours, theirs = (seen_in("hands", a) for a in (arrays, other | {k: np.array(v) for k, v in said.items()}))
+    for predicted in (predict_receiving, predict_target):
+        mine, found = predicted(asked, scene, seen=ours), predicted(asked, scene, seen=theirs)
+        for name in ("vertices", "joints", "palm_normal", "palm_point"):
+            assert torch.allclose(getattr(mine, name), getattr(found, name), atol=2e-6), name
+
+
 def test_parts_and_roles_by_object_or_by_trial_are_those_that_were_meant(scene, asked, seen_in, tmp_path):
     parts, wanted = predict_parts(asked, scene, noise=TRUTH), handover_va.predict(asked, scene, noise=TRUTH)
     target = {k: v for k, v in truth(scene, asked, predict_receiving).items() if "receiving" not in k}
@@ -174,6 +195,8 @@ def test_files_that_are_no_predictions_are_refused_in_one_line(scene, asked, see
         "need MANO's 16 or OpenPose's 21": ("hands", skins | {"receiving_joints": skin[:, :17]}),
         "lengths are in metres": ("hands", skins | {"receiving_vertices": 1000 * skin}),
         "give that hand with --hand-model": ("hands", skins | {"receiving_vertices": skin[:, :778]}),
+        "frame is 'hand', which these hands define": ("hands", skins | {"frame": np.array("hand")}),
+        "declares time_unit, which nothing in this file has": ("hands", skins | {"time_unit": np.array("s")}),
         "another frame?": ("hands", skins | {"receiving_vertices": skin + 3}),
         "has label without usage": ("parts", {"trial_id": ids, "label": big}),
         "role goes from 3 to 3": ("parts", {"trial_id": ids, "role": big + 3}),
