@@ -18,6 +18,22 @@ changes:
     "policy.slow" = "their_package.arms:Slow"       # KIND.NAME: one thing, imported when it is used
     anything = "their_package.r2h"                  # a module that registers when it is imported
 
+A criterion of your own, whole (`"criterion.level" = "mine:LEVEL"`, in mine.py):
+
+    from r2h_batch.verdicts import SPLITS, CriterionEntry
+
+    LEVEL = CriterionEntry(
+        "level", "f_level", "F_level", 5, "#666666", SPLITS, True, since="mine 1.0", unit="deg", function="mine:level",
+        means="30 degrees less the tilt of the closing axis", fails="the gripper is tilted")
+
+    def level(e):                                       # e: r2h_batch.judge.metrics.Evidence, B rows
+        from r2h_batch.judge.metrics import Criterion   # here: whoever reads the entry needs no torch
+        tilt = e.held.T_world_ee[:, 2, 1].clamp(-1, 1).asin().rad2deg().abs()
+        return Criterion(tilt, e.held.active, limit=30.0, below=True)
+
+Its fields, in order: name, key and heading of its rate, place of the heading in tables, colour, splits, whether a margin of 0
+passes (`r2h_batch.verdicts.CriterionEntry` has the others).
+
 What is in no package is `module:function` on a command line (`base.user_code.chosen`).
 """
 

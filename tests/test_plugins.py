@@ -3,10 +3,12 @@
 import os
 import subprocess
 import sys
+import textwrap
 from pathlib import Path
 
 import pytest
 
+from r2h_batch import plugins
 from r2h_batch.plugins import PluginError, Registry
 
 HEAD = """
@@ -168,3 +170,26 @@ def test_methods_and_policies_of_a_package_are_named_listed_swept_and_hinted_at(
     installed(tmp_path / "site", "acts", points, CODE)
     monkeypatch.chdir(tmp_path)
     said(tmp_path / "site", NAMED)
+
+
+def test_the_criterion_of_the_notes_judges_as_it_stands_there(tmp_path: Path) -> None:
+    notes = plugins.__doc__ or ""
+    _, _, rest = notes.partition("in mine.py):\n")
+    code, _, _ = rest.partition("\nIts fields")
+    assert len([line for line in code.splitlines() if line.strip()]) <= 9, "ten lines with its entry point"
+    installed(tmp_path, "mine", "criterion.level = mine:LEVEL\n", textwrap.dedent(code))
+    use = """
+from r2h_batch import Evaluator, load_benchmark
+from r2h_batch.methods.random import predict
+evaluator = Evaluator(load_benchmark("r2h-v0")).kinematic
+trials = evaluator.benchmark.trials(4)
+answer = predict(trials, evaluator.scene, seed=0)
+scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, stages="pose")
+at = scores.criteria.index("level")
+wanted = 30 - answer.T_world_ee[:, 2, 1].asin().rad2deg().abs()
+judged = scores.evaluated[:, at]
+assert judged.any() and (scores.margin[:, at] - wanted).abs()[judged].max() < 1e-3
+assert (scores.passed[:, at] == (wanted >= 0))[judged].all()
+print("level of", int(judged.sum()))
+"""
+    assert said(tmp_path, use).startswith("level of ")

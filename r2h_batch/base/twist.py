@@ -1,7 +1,7 @@
 """Twists (v, w): six numbers that move a pose along SE(3), so that optimisers never leave it.
 
-A twist is a motion in the pose's own frame: `retract(T, xi) = T exp(xi)`, v in metres along T's
-axes, w in radians about them. All functions are differentiable, in float32 and float64, at zero
+The first three numbers, v, are metres, the last three, w, radians. A twist is a motion in the pose's own frame:
+`retract(T, xi) = T exp(xi)`, v along T's axes, w about them. All functions are differentiable, in float32 and float64, at zero
 too.
 """
 
@@ -19,7 +19,7 @@ def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
     """The rigid motion (..., 4, 4) of a twist.
 
     Args:
-        twist: (..., 6): v in m, w in rad.
+        twist: (..., 6): first v, three numbers in m, then w, three in rad.
     """
     v, w = twist[..., :3], twist[..., 3:]
     a, b, c = _coefficients((w * w).sum(-1))
@@ -34,7 +34,7 @@ def exp(twist: Float[Tensor, "*b 6"]) -> Float[Tensor, "*b 4 4"]:
 
 
 def log(T: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """The twist (..., 6) of a rigid motion, in m and rad.
+    """The twist (..., 6) of a rigid motion: first v, three numbers in m, then w, three in rad.
 
     Args:
         T: (..., 4, 4), angle below pi; within 1e-3 rad of a half turn the axis is ill-conditioned.
@@ -57,13 +57,13 @@ def retract(T: Float[Tensor, "*b 4 4"], twist: Float[Tensor, "*b 6"]) -> Float[T
 
     Args:
         T: (..., 4, 4) poses, m.
-        twist: (..., 6): v in m, w in rad.
+        twist: (..., 6): first v, three numbers in m, then w, three in rad.
     """
     return se3.matmul(T, exp(twist))
 
 
 def tangent(T: Float[Tensor, "*b 4 4"], gradient: Float[Tensor, "*b 4 4"]) -> Float[Tensor, "*b 6"]:
-    """Gradient (..., 6) with respect to a twist at 0 in `retract(T, twist)`.
+    """Gradient (..., 6) with respect to a twist at 0 in `retract(T, twist)`: three numbers per m, then three per rad.
 
     Args:
         T: (..., 4, 4) poses, m.

@@ -59,7 +59,7 @@ def joint_speeds(
 
     Args:
         jacobian: (B, 6, J) of `ee_and_jacobian`.
-        twist: (B, 6) m/s and rad/s, world axes.
+        twist: (B, 6) first three numbers in m/s, then three in rad/s, world axes.
 
     Returns:
         (B, J) rad/s.

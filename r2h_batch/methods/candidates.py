@@ -139,13 +139,19 @@ class CandidateTable:
     .. first[o] + count[o]."""
 
     T_obj_ee: Float32[Tensor, "m 4 4"]
+    """grasps, the best of an object first: the ee in the object's frame, m"""
     opening_m: Float32[Tensor, " m"]
-    """gap between the pads once they have closed on the object"""
+    """gap between the pads once they have closed on the object, m"""
     width_m: Float32[Tensor, " m"]
+    """material between the pads, m"""
     score: Float32[Tensor, " m"]
+    """0 to 1, higher is better"""
     object_index: Int32[Tensor, " m"]
+    """whose grasp it is: row of `scene.objects`"""
     first: Int64[Tensor, " o"]
+    """first row of each object"""
     count: Int64[Tensor, " o"]
+    """rows of each object"""
 
     @cached_property
     def some_have_none(self) -> bool:

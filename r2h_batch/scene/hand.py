@@ -299,15 +299,19 @@ class HandSet:
     """The receiving postures of the protocol: H hands, right ones first."""
 
     pose: Float32[Tensor, "H 48"]
+    """MANO's pose: 16 axis-angle turns, rad; the first is the wrist's"""
     shape: Float32[Tensor, "H 10"]
+    """MANO's shape"""
     side: Int[Tensor, " H"]
     """0 right, 1 left"""
     posture: tuple[str, ...]
+    """name of each posture"""
     hull_vertex_ids: Int[Tensor, " M"]
     """mesh vertices on the hull of every posed piece, hand by hand, piece by piece"""
     hull_offsets: Int[Tensor, " HNP1"]
     """piece k of hand h has ids ``hull_offsets[h * NP + k]`` up to the next offset"""
     digest: str
+    """sha256 of the postures"""
     model: HandModel
     """the hand that takes these postures"""
     in_body: Float64[Tensor, "H 3 K"] | None = None

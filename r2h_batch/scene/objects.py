@@ -65,42 +65,53 @@ class ObjectModel:
     faces, P pieces."""
 
     name: str
+    """what trials and tables call it"""
     split: str
     """``"S0"`` (free handover) or ``"S1"`` (functional: ``receiver_face`` is not empty)."""
     instruction: str
+    """what the robot is told"""
     vertices: NDArray[np.float32]
-    """(V, 3)"""
+    """(V, 3) corners of the closed mesh, m"""
     faces: NDArray[np.int32]
     """(F, 3) watertight, counter-clockwise seen from outside"""
     face_part: NDArray[np.uint8]
     """(F,) index into ``part_names``"""
     part_names: tuple[str, ...]
+    """names of its parts"""
     receiver_face: NDArray[np.bool_]
-    """(F,) the faces of the receiver's region G_O^H"""
+    """(F,) which faces are the receiver's region G_O^H; none in S0"""
     hull_vertices: NDArray[np.float32]
     """the convex hull of ``vertices``, all of its vertices"""
     hull_faces: NDArray[np.int32]
+    """triangles of the hull"""
     piece_vertices: NDArray[np.float32]
     """vertices of all convex pieces; piece k has rows
     ``piece_vertex_offsets[k]:piece_vertex_offsets[k + 1]``"""
     piece_faces: NDArray[np.int32]
     """triangles of all pieces, indices local to the piece"""
     piece_vertex_offsets: NDArray[np.int32]
+    """(P + 1,) first vertex of each piece"""
     piece_face_offsets: NDArray[np.int32]
+    """(P + 1,) first triangle of each piece"""
     points: NDArray[np.float32]
-    """(2048, 3) on the surface, area-weighted"""
+    """(2048, 3) points on the surface, area-weighted, m"""
     normals: NDArray[np.float32]
     """(2048, 3) outward unit normals of the faces that the points lie on"""
     point_part: NDArray[np.uint8]
+    """(2048,) the part that each point lies on"""
     point_face: NDArray[np.int32]
+    """(2048,) the face that each point lies on"""
     voxels: NDArray[np.uint8]
     """packed bits of the (64, 64, 64) occupancy, C order; see :attr:`occupancy`"""
     voxel_origin: NDArray[np.float64]
     """(3,) the grid's lowest corner; the centre of voxel (i, j, k) is ``voxel_origin + (ijk + 0.5)
     * voxel_pitch``"""
     voxel_pitch: float
+    """side of a voxel, m"""
     mass: float
+    """kg"""
     com: NDArray[np.float64]
+    """(3,) centre of mass, m"""
     inertia: NDArray[np.float64]
     """(3, 3) about the centre of mass, axes of ``obj``, uniform density, kg m^2"""
     grasps: GraspSet | None = None

@@ -116,7 +116,7 @@ class Robot:
     home_q: tuple[float, ...]
     """the posture at the start of a trial unless a benchmark has another one, rad"""
     open_gap_m: float
-    """gap between the pads of the open gripper"""
+    """gap between the pads of the open gripper, m"""
     table_from: int
     """links from this on are checked against the table: those before stand on it"""
     visuals: str
@@ -124,13 +124,18 @@ class Robot:
     dynamics: Dynamics
     links: tuple[str, ...]
     joints: tuple[str, ...]
+    """names of the joints, in the order of every posture"""
     T_parent_joint: Array
     lower: Array
+    """(J,) lower limits of the joints, rad"""
     upper: Array
+    """(J,) upper limits, rad"""
     max_velocity: Array
+    """(J,) limits of speed, rad/s"""
     max_torque: Array
     T_wrist3_flange: Array
     T_flange_ee: Array
+    """(4, 4) the ee (the TCP between the pads) in the flange's frame, m"""
     T_flange_gripper: Array
     arm: Primitives
     gripper: Primitives

@@ -65,6 +65,14 @@ class Scene:
         device: `cpu`, `cuda` or `cuda:N`.
         config: planning and motion; None: the default preset.
         hand_room_m: planning keeps this far from hands and persons, m: where it does not know how they stand.
+
+    Attributes:
+        benchmark: whose objects, hands, robot and limits these are.
+        objects: the objects (`ObjectModel`), by `Trials.object_index`.
+        hands: the posed hands (`Hands`), by `Trials.hand_index`.
+        robot: the arm and its gripper (`Robot`).
+        config: all settings (`EvalConfig`); `config.workplace` holds home and table, `config.thresholds` the limits.
+        device: where its tensors are.
     """
 
     def __init__(

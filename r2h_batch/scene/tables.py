@@ -38,11 +38,17 @@ class Hands:
     metres."""
 
     model: HandModel
+    """the hand that takes the postures: MANO's joints and parameters"""
     set: HandSet
+    """the postures themselves"""
     vertices: Float32[Tensor, "h v 3"]
+    """meshes of the posed hands, m"""
     joints: Float32[Tensor, "h 16 3"]
+    """joints in MANO's order (wrist, index, middle, pinky, ring, thumb), m"""
     palm_point: Float32[Tensor, "h 3"]
+    """p_h, the middle of the palm, m"""
     palm_normal: Float32[Tensor, "h 3"]
+    """n_h, the unit vector out of the palm"""
 
     def __repr__(self) -> str:  # one line: a dataclass would print its tensors
         return f"Hands({self.set!r} on {self.vertices.device})"
