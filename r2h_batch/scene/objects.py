@@ -117,9 +117,9 @@ class ObjectModel:
     grasps: GraspSet | None = None
     """a user's grasps: what methods choose from instead of our candidates"""
     roles: Mapping[str, str] | None = None
-    """part -> function, grasp or wrap, where a benchmark says so (`methods.part_roles`)"""
+    """part -> function, grasp or wrap, where a benchmark says so (`r2h_batch.methods.part_roles`)"""
     words: Thing | None = None
-    """how people ask for it, where a benchmark says so (`trials.holding.instructions`)"""
+    """how people ask for it, where a benchmark says so (`r2h_batch.trials.holding.instructions`)"""
     repair: Repair | None = None
     """what was done to a user's mesh, and what came of it"""
 
