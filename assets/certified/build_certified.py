@@ -3,7 +3,8 @@
 `python assets/certified/build_certified.py --trials 500` certifies the first 500 trials of each split by all criteria, with the
 motion as planned. A trial that the search does not solve is drawn again up to `MOST` times: the next object of its split, person,
 hand and moment. Answers that the file holds already are kept (`--anew`: they are not). The file is written after each `--part`
-trials; a run that was stopped goes on behind them.
+trials; a run that was stopped goes on behind them. `--again` judges the answers of the file, as after a change of the criteria,
+and searches once more where one fails: the same trials, as often drawn as before.
 """
 
 import argparse
@@ -38,8 +39,14 @@ def main() -> None:
     parser.add_argument("--part", type=int, default=200, help="trials after which the file is written")
     parser.add_argument("--out", type=Path, default=OUT)
     parser.add_argument("--anew", action="store_true", help="ask for all trials, also for those that the file knows")
+    parser.add_argument(
+        "--again", action="store_true", help="judge what the file holds, and search what fails once more"
+    )
     options = parser.parse_args()
     plain = replace(named_benchmark(NAME), certified=None)
+    if options.again:
+        save_certified(options.out, certified_again(plain, read_certified(options.out)))
+        return
     ids = np.sort(plain.trials(options.trials).trial_id.numpy())
     known = None
     if not options.anew and options.out.exists():
@@ -78,6 +85,25 @@ def certified(plain: Any, ids: np.ndarray) -> Certified:
         print(f"drawn {k + 1} times: {won.sum()} of {len(todo)} solved", flush=True)
     redraws[~solved] = NEVER
     return Certified(ids, redraws, solved, grasp, pose, plain.undrawn_digest)
+
+
+def certified_again(plain: Any, known: Certified) -> Certified:
+    """The same trials with answers that pass today."""
+    benchmark = replace(plain, certified=known)
+    judge = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
+    ids, answers = known.trial_id[known.solved], known.answers(known.trial_id[known.solved])
+    trials = benchmark.trials_with_ids(torch.from_numpy(ids))
+    passes = judge.score(
+        torch.from_numpy(answers.T_obj_ee), torch.from_numpy(answers.T_world_ee), trials
+    ).success.numpy()
+    rows = np.flatnonzero(known.solved)[~passes]
+    todo = trials[torch.from_numpy(np.flatnonzero(~passes))]
+    found = oracle.predict(todo, judge.scene, evaluator=judge)
+    won = judge.score(found.T_obj_ee, found.T_world_ee, todo).success.numpy()
+    grasp, pose, solved = known.T_obj_ee.copy(), known.T_world_ee.copy(), known.solved.copy()
+    grasp[rows], pose[rows], solved[rows] = found.T_obj_ee.numpy(), found.T_world_ee.numpy(), won
+    print(f"of {len(ids)} answers {len(rows)} fail; another one is found for {won.sum()} of these", flush=True)
+    return replace(known, T_obj_ee=grasp, T_world_ee=pose, solved=solved)
 
 
 if __name__ == "__main__":

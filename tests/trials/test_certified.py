@@ -52,7 +52,8 @@ def test_the_shipped_file_is_of_the_draft_and_knows_each_of_its_trials(draft):
 def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
     own, judge = draft.own_certified, Evaluator(draft, KINEMATIC)
     redrawn = np.flatnonzero((own.redraws > 0) & own.solved)
-    some = own.trial_id[np.unique([*redrawn[:6], *np.flatnonzero(own.solved)[[0, 1, 100, -1]]])]
+    met_the_head = np.flatnonzero(np.isin(own.trial_id, [18, 215, 433, 997]))  # what r2h_batch 0.3 shipped for these
+    some = own.trial_id[np.unique([*redrawn[:6], *met_the_head, *np.flatnonzero(own.solved)[[0, 1, 100, -1]]])]
     known = draft.certificates(some)
     trials = draft.trials_with_ids(torch.from_numpy(some))
     scores = judge.score(torch.from_numpy(known.T_obj_ee), torch.from_numpy(known.T_world_ee), trials)
