@@ -25,7 +25,7 @@ from run import Bench
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.runs.rows import OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.writing import SHARD_TRIALS
-from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, PlanReason
+from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Nearer, PlanReason
 
 MEASURES = ("bench/growth.py", "r2h_batch/runs", "r2h_batch/report", "r2h_batch/sweep/results", "r2h_batch/base/io")
 METHODS = ("synthetic", "other")
@@ -79,9 +79,9 @@ def rows(first: int, last: int, n_s0: int) -> pa.Table:
         "nearest_pair": words(np.where(found, 1, -1), [p.name.lower() for p in CollidingPair]),
         "width_m": floats(0.08 * random.random(n), always),
         "borderline": pa.array((np.abs(np.where(evaluated, margin, 1)) < 1e-4).any(1)),
-        "presented": pa.array(random.random(n) < 0.8, mask=~s1),
-        "presented_angle_deg": floats(180 * random.random(n), s1),
-        "presented_distance_m": floats(0.2 * random.random(n), s1),
+        "presented_margin_m": floats(0.1 * random.random(n) - 0.02, always),
+        "presented_by": words(random.integers(0, len(Nearer), n), [x.name.lower() for x in Nearer]),
+        "tilt_deg": floats(180 * random.random(n), ~s1),
         "t_plan_s": floats(1e-3 + 1e-4 * random.random(block[-1] - block[0] + 1)[block - block[0]], always),
         "t_exec_s": floats(random.gamma(20, 0.42, n), found),
         "t_method_s": floats(np.full(n, 0.0002), always),

@@ -36,10 +36,12 @@ from r2h_batch.judge.distance import (
 from r2h_batch.judge.goal import failed_clearance, judge_goals, weaken_singular_reason
 from r2h_batch.judge.ik import IkResult, home_posture, nearest_turns, one_branch, solve_ik
 from r2h_batch.judge.presented import presented
+from r2h_batch.judge.reach import reached
 from r2h_batch.judge.scores import motion_fields, not_given, pose_fields, verdict
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.scene import BodyPoses
 from r2h_batch.types import PlanReason
+from r2h_batch.verdicts import criteria_of
 from r2h_batch.work import Stage, Work
 
 
@@ -212,27 +214,38 @@ def shake(w: Work) -> None:
         w.slip_m = slips(w.scene.objects, w.held.objects, w.held.attached, rows, w.scene.robot)
 
 
+def present(w: Work) -> None:
+    """What of the object is in the ball, what comes to the hand first, and whether a vessel stands upright."""
+    objects, ball = w.held.objects, w.held.ball
+    w.reached = of_solid = reached(w.scene, objects, ball)
+    if w.config.reach != "solid":
+        of_solid = reached(w.scene, objects, ball, solid=True)
+    w.presented = presented(w.scene, w.held, of_solid, w.config.thresholds)
+    w.fields |= w.presented.fields
+
+
 def criteria(w: Work) -> None:
     """The benchmark's criteria with margins, and the outcome: the first that fails."""
     evidence = metrics.Evidence(
-        w.scene, w.config, w.held, w.goal_reached, w.moves, w.clearance_m, w.reason, w.nearest, w.slip_m, w.picked
+        w.scene, w.config, w.held, w.goal_reached, w.moves, w.clearance_m, w.reason, w.nearest, w.slip_m, w.reached,
+        w.presented, w.picked,
     )  # fmt: skip
-    w.fields |= verdict(metrics.judge(evidence), w.held, w.slip_m, w.valid)
+    entries = criteria_of(w.scene.benchmark.asks)
+    w.fields |= verdict(entries, metrics.judge(evidence), w.held, w.slip_m, w.valid)
 
 
 def tell_motion(w: Work) -> None:
     """The columns of motions: times, witnesses, path."""
-    region = presented(w.scene, w.held, w.config.thresholds)
     law = None if w.trace is not None else w.config.execute
     w.fields |= motion_fields(
-        region, w.held.active, w.planned, w.motion, w.executed, w.nearest, law,
+        w.held.active, w.planned, w.motion, w.executed, w.nearest, law,
         t_plan_s=w.t_plan_s, keep_motion=w.keep_motion, body_m=None if w.person is None else w.person[0],
     )  # fmt: skip
 
 
 def tell_posture(w: Work) -> None:
     """The columns of postures."""
-    w.fields |= pose_fields(presented(w.scene, w.held, w.config.thresholds), w.goal, w.nearest)
+    w.fields |= pose_fields(w.goal, w.nearest)
     if w.person is not None:
         w.fields["body_m"] = w.person[0]
 
@@ -255,7 +268,8 @@ def receive(w: Work) -> None:
     w.scores = given(w.scores)  # type: ignore[arg-type]  # the benchmark asks
 
 
-GRASP, JUDGE = Stage(grasp), (Stage(count_body), Stage(shake), Stage(criteria))
+GRASP = Stage(grasp)
+JUDGE = (Stage(count_body), Stage(shake), Stage(present), Stage(criteria))
 PICK = Stage(pick, asks="pick", records=False)
 PICK_POSE = Stage(partial(pick, ways=False), asks="pick", records=False)
 PLAN, BELIEVE, MOVE = (Stage(run, records=False) for run in (plan, believe, move))

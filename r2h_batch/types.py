@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple, Self, SupportsIndex
+from typing import Any, ClassVar, NamedTuple, Self, SupportsIndex
 
 import numpy as np
 import torch
@@ -18,14 +18,16 @@ from r2h_batch.base.validate import describe_value, instance_of, integer, one_of
 from r2h_batch.base.validate_tensors import row_index
 from r2h_batch.verdicts import (
     CRITERIA,
-    EVERY,
     PERSON,
     SIDES,
     SPLITS,
     CollidingPair,
+    CriterionEntry,
     MarginKind,
+    Nearer,
     Outcome,
     PlanReason,
+    criteria_of,
 )
 
 __all__ = [
@@ -35,6 +37,7 @@ __all__ = [
     "SPLITS",
     "CollidingPair",
     "MarginKind",
+    "Nearer",
     "Outcome",
     "PlanReason",
     "Predictions",
@@ -298,10 +301,10 @@ class Scores(_Rows):
         opening_m: gap between the closed pads, m.
         grasp_shift_m: how far closing moves the object along y, m.
         slip_m: slip of the object in the shake, m; NaN unless `stability = "physics"` shook it.
-        presented: the receiver's region faces the palm within reach (no part of the outcome); False
-            where the object has no region.
-        presented_angle_deg: angle of region and palm, seen from the TCP; NaN without a region.
-        presented_distance_m: distance from c_h to the region, m; NaN without a region.
+        presented_margin_m: margin of Presented, m, also where the benchmark does not ask for it; NaN in rows that were not
+            judged.
+        presented_by: `Nearer`: what that margin is about; -1 in these rows.
+        tilt_deg: angle between a vessel's opening and the world's up; NaN of other objects.
         path: waypoints, rad; the first `path_len` count.
         path_time_s: times of the waypoints, s.
         path_len: number of waypoints; 0: no path.
@@ -335,9 +338,9 @@ class Scores(_Rows):
     opening_m: Float32[Tensor, " b"]
     grasp_shift_m: Float32[Tensor, " b"]
     slip_m: Float32[Tensor, " b"]
-    presented: Bool[Tensor, " b"]
-    presented_angle_deg: Float32[Tensor, " b"]
-    presented_distance_m: Float32[Tensor, " b"]
+    presented_margin_m: Float32[Tensor, " b"]
+    presented_by: Int8[Tensor, " b"]
+    tilt_deg: Float32[Tensor, " b"]
     path: Float32[Tensor, "b w 6"]
     path_time_s: Float32[Tensor, "b w"]
     path_len: Int32[Tensor, " b"]
@@ -346,10 +349,26 @@ class Scores(_Rows):
     failed_state: Float64[Tensor, "b s"]
     body_m: Float32[Tensor, " b"]
 
+    own_asks: ClassVar[tuple[str, ...]] = ()
+    """Criteria that a benchmark asks for, and that have fields of their own here."""
+
+    @property
+    def entries(self) -> tuple[CriterionEntry, ...]:
+        """The criteria of the columns: those of `CRITERIA`, and what the benchmark asks for beside them."""
+        asks = self.own_asks
+        if self.passed.shape[-1] > len(CRITERIA) + len(asks):  # it has no fields that others lack
+            asks = (*asks, "presented")
+        return criteria_of(asks)
+
     @property
     def criteria(self) -> tuple[str, ...]:
         """Names of the columns: `CRITERIA`, and what the benchmark asks for beside them."""
-        return tuple(entry.name for entry in EVERY[: self.passed.shape[-1]])
+        return tuple(entry.name for entry in self.entries)
+
+    @property
+    def presented(self) -> Bool[Tensor, "*b"]:
+        """Rows whose wanted part comes to the hand first (`presented_margin_m`), whether or not the benchmark asks for it."""
+        return self.presented_margin_m >= 0
 
     def failed(self, criterion: str) -> Bool[Tensor, " b"]:
         """Rows (B,) whose first failure is a criterion.
@@ -360,8 +379,8 @@ class Scores(_Rows):
         Raises:
             ValueError: no criterion has this name.
         """
-        names = self.criteria
-        return self.outcome == names.index(one_of(*names)("criterion", criterion)) + 1
+        one_of(*self.criteria)("criterion", criterion)
+        return self.outcome == int(Outcome[criterion.upper()])
 
     def by_trial(self, k: int) -> Self:
         """The same rows as views (N, k, ...).
@@ -449,7 +468,7 @@ class Scores(_Rows):
             self._array(k) for k in ("passed", "evaluated", "margin", "margin_kind", "outcome")
         )
         times = {name: self._array(name) for name in ("t_plan_s", "t_exec_s")}
-        return summary.scalars_of(passed, evaluated, margin, kind, outcome, times)
+        return summary.scalars_of(self.entries, passed, evaluated, margin, kind, outcome, times)
 
     def to_pandas(self) -> Any:
         """A pandas DataFrame, a row for each of B (or N x K) rows: the columns of a run folder's
@@ -459,7 +478,7 @@ class Scores(_Rows):
             if self.outcome.ndim == 1
             else replace(self, **{k: x.flatten(0, 1) for k, x in self._tensors().items()})
         )
-        columns = summary.score_columns(flat._array)
+        columns = summary.score_columns(self.entries, flat._array)
         return summary.frame_of({**(flat._names() or {}), **columns})
 
     def _names(self) -> dict[str, Any] | None:
@@ -476,9 +495,8 @@ class Scores(_Rows):
         }
 
     def _table(self) -> list[tuple[str, str, str, str, str]]:
-        return summary.scores_table(
-            self._array("passed"), self._array("evaluated"), self._array("margin")
-        )
+        arrays = (self._array(name) for name in ("passed", "evaluated", "margin"))
+        return summary.scores_table(self.entries, *arrays)
 
     def _array(self, name: str) -> NDArray[Any]:
         return np.asarray(getattr(self, name).detach().cpu())
@@ -519,6 +537,8 @@ class PickedScores(Scores):
 
     pick: Int32[Tensor, "b 3"]
 
+    own_asks = ("pick",)
+
 
 @dataclass(frozen=True, repr=False)
 class GivenScores(PickedScores):
@@ -529,3 +549,5 @@ class GivenScores(PickedScores):
     """
 
     receives: Int32[Tensor, "b 2"]
+
+    own_asks = ("pick", "received")

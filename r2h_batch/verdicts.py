@@ -6,6 +6,7 @@ Whoever reads stored rows needs these and no tensor; `r2h_batch.types` offers th
 import re
 from collections.abc import Callable, Sequence
 from enum import IntEnum
+from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
 from r2h_batch.plugins import PluginError, Registry
@@ -106,7 +107,11 @@ _OURS = (
                    fails="the robot meets the hand"),
     CriterionEntry("pick", "f_pick", "F_pick", 6, "#7f6a52", SPLITS, True, since="0.3.0",
                    asked=True, behind="stability"),
-    CriterionEntry("received", "f_recv", "F_recv", 7, "#6a9a3d", SPLITS, True, since="0.3.0",
+    CriterionEntry("presented", "f_pres", "F_pres", 7, "#b5a642", SPLITS, True, since="0.4.0",
+                   means="how far the wanted part reaches into the ball, or what it is ahead of gripper and sharp parts, by the"
+                   " way to the palm",
+                   fails="the wanted part is not what the hand comes to first", asked=True),
+    CriterionEntry("received", "f_recv", "F_recv", 8, "#6a9a3d", SPLITS, True, since="0.3.0",
                    asked=True),
 )  # fmt: skip
 """A new criterion is an entry here and a function in `judge.metrics`."""
@@ -154,16 +159,24 @@ CRITERIA = tuple(entry.name for entry in REGISTRY)
 """Column order of every (B, C) tensor of criteria."""
 
 ASKED = tuple(entry for entry in _ALL if entry.asked)
-"""Criteria that a benchmark asks for beside `CRITERIA`: others judge by none of them. A benchmark asks for the first ones."""
+"""Criteria that a benchmark asks for beside `CRITERIA`: others judge by none of them."""
 
 UNTIL: tuple[Literal["present", "received"], ...] = ("present", "received")
-"""Where a benchmark that asks for `ASKED` may end: with the arm at rest, the first of them, and so on."""
+"""Where a benchmark that asks for `ASKED` may end: with the arm at rest, or once the person has the object."""
 
 EVERY = (*REGISTRY, *ASKED)
-"""All criteria. Place here = column of (B, C) tensors; those of a benchmark that asks for none end with `CRITERIA`. Stored
+"""All criteria. The columns of (B, C) tensors are in this order, without those that a benchmark does not ask for. Stored
 columns, rates, headings, charts and re-scoring follow it."""
 
 ASKED_NAMES = tuple(entry.name for entry in ASKED)
+
+MAY_ASK = tuple(
+    names
+    for n in range(len(ASKED_NAMES) + 1)
+    for names in combinations(ASKED_NAMES, n)
+    if "received" not in names or "pick" in names
+)
+"""What a benchmark may ask for: some of `ASKED_NAMES`, in their order. A person can take what was picked up alone."""
 
 NO_LONGER = ("taken",)
 """Criteria that rows of r2h_batch 0.3 and before may be judged by, and no benchmark asks for any more. Such rows keep the
@@ -176,7 +189,7 @@ def criteria_of(asks: Sequence[str]) -> tuple[CriterionEntry, ...]:
     Args:
         asks: those of `ASKED_NAMES` that it asks for.
     """
-    return EVERY[: len(REGISTRY) + len(asks)]
+    return tuple(entry for entry in EVERY if not entry.asked or entry.name in asks)
 
 
 def _in_order(entries: Sequence[CriterionEntry]) -> tuple[CriterionEntry, ...]:
@@ -273,6 +286,14 @@ class CollidingPair(IntEnum):
     OBJECT_HAND = 4
     OBJECT_TABLE = 5
     OBJECT_ROBOT = 6
+
+
+class Nearer(IntEnum):
+    """What Presented's margin is about: the ball that the wanted part has to meet, or what comes to the palm beside it."""
+
+    BALL = 0
+    GRIPPER = 1
+    SHARP = 2
 
 
 class ReceiveReason(IntEnum):

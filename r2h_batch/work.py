@@ -13,6 +13,8 @@ from r2h_batch.config import EvalConfig
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
+from r2h_batch.judge.presented import Presented
+from r2h_batch.judge.reach import Reached
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Scores, Trials
 
@@ -59,6 +61,8 @@ class Work:
     clearance_m: Float32[Tensor, " b"] = None  # type: ignore[assignment]
     reason: Int32[Tensor, " b"] = None  # type: ignore[assignment]
     slip_m: Float64[Tensor, " b"] | None = None
+    reached: Reached = None  # type: ignore[assignment]
+    presented: Presented = None  # type: ignore[assignment]
     valid: Bool[Tensor, " b"] | None = None
     fields: dict[str, Tensor] = field(default_factory=dict)  # of `Scores`
     scores: Scores = None  # type: ignore[assignment]  # of all rows, for stages of LAST

@@ -64,7 +64,7 @@ def open_verdict(
 
 @wp.kernel
 def judge_criterion(
-    first: int, column: int, borderline: float,
+    first: int, column: int, failure: int, borderline: float,  # its column, and its number among outcomes
     simulated: int,  # 0: `valid` says nothing
     touching: int,  # 1: a margin of 0 passes
     partial: int,  # 1: rows without a number are not evaluated
@@ -109,7 +109,7 @@ def judge_criterion(
         fine = False
         kind = 0
     elif not fine and outcome_inout[row] == wp.int8(0):
-        outcome_inout[row] = wp.int8(column + 1)
+        outcome_inout[row] = wp.int8(failure)
         success_inout[row] = False
     if wp.abs(margin) < borderline:  # NaN is not
         borderline_inout[row] = True
@@ -123,14 +123,12 @@ def judge_criterion(
 def pose_rows(
     first: int, reason_in: wp.array(dtype=int), pair_in: wp.array(dtype=int), plan_body_in: wp.array(dtype=int),
     safe_body_in: wp.array(dtype=int), point_in: wp.array(dtype=wp.vec3), q_in: wp.array2d(dtype=float),
-    presented_in: wp.array(dtype=wp.bool), angle_in: wp.array(dtype=float), distance_in: wp.array(dtype=float),
     # out: the fields of `Scores` of these names
     plan_reason_out: wp.array(dtype=wp.int8), plan_pair_out: wp.array(dtype=wp.int8),
     witness_part_out: wp.array2d(dtype=int), witness_time_s_out: wp.array(dtype=float),
     witness_point_out: wp.array(dtype=wp.vec3), t_plan_s_out: wp.array(dtype=float),
     t_exec_s_out: wp.array(dtype=float), q_goal_out: wp.array2d(dtype=float),
-    presented_out: wp.array(dtype=wp.bool), presented_angle_deg_out: wp.array(dtype=float),
-    presented_distance_m_out: wp.array(dtype=float), path_len_out: wp.array(dtype=int),
+    path_len_out: wp.array(dtype=int),
     motion_len_out: wp.array(dtype=int), body_m_out: wp.array(dtype=float),
 ):  # fmt: skip
     """Results of postures, in memory of their own; postures have no times."""
@@ -145,9 +143,6 @@ def pose_rows(
     t_exec_s_out[row] = wp.nan
     for j in range(q_in.shape[1]):
         q_goal_out[row, j] = q_in[row, j]
-    presented_out[row] = presented_in[row]
-    presented_angle_deg_out[row] = angle_in[row]
-    presented_distance_m_out[row] = distance_in[row]
     path_len_out[row] = 0
     motion_len_out[row] = 0
     body_m_out[row] = wp.nan

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 
-VERSION = "0.3.0"
+VERSION = "0.4.0"
 
 ROOT = Path(__file__).resolve().parents[1]
 """r2h_batch/."""

@@ -115,7 +115,10 @@ def in_metres(margin: Float[Tensor, "*b c"]) -> Float[Tensor, "*b c"]:
     if all(entry.unit == "m" for entry in REGISTRY):
         return margin
     worth = [UNITS[entry.unit].worth_m for entry in REGISTRY]
-    return torch.stack([margin[..., k] * w for k, w in enumerate(worth)], -1)
+    own = [margin[..., k] * w for k, w in enumerate(worth)]
+    return torch.cat(
+        [torch.stack(own, -1), margin[..., len(own) :]], -1
+    )  # what is asked for is in m
 
 
 class _WithGradient(torch.autograd.Function):

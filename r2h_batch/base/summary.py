@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.verdicts import EVERY, UNITS, MarginKind, Outcome, PlanReason
+from r2h_batch.verdicts import EVERY, UNITS, CriterionEntry, MarginKind, Outcome, PlanReason
 
 Array = NDArray[Any]
 
@@ -37,13 +37,13 @@ def scores_line(shape: Sequence[int], device: str, outcome: Array) -> str:
 
 
 def scores_table(
-    passed: Array, evaluated: Array, margin: Array
+    entries: Sequence[CriterionEntry], passed: Array, evaluated: Array, margin: Array
 ) -> list[tuple[str, str, str, str, str]]:
-    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion; margins in mm, others say
-    their unit."""
+    """(criterion, evaluated, passes, median margin, 5 % margin) of each criterion, those of the columns; margins in mm, others
+    say their unit."""
     p, e, m = (np.reshape(x, (-1, x.shape[-1])) for x in (passed, evaluated, margin))
     rows = []
-    for k, entry in enumerate(EVERY[: p.shape[1]]):
+    for k, entry in enumerate(entries):
         name, (shown, scale, *_) = entry.name, UNITS[entry.unit]
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]), k]
@@ -58,6 +58,7 @@ def scores_table(
 
 
 def scalars_of(
+    entries: Sequence[CriterionEntry],
     passed: Array,
     evaluated: Array,
     margin: Array,
@@ -76,11 +77,13 @@ def scalars_of(
     if not n:
         return {}
     found = {"success": float((codes == Outcome.SUCCESS).mean())}
-    asked = {entry.name for entry in EVERY[passed.shape[-1] :]}  # of other benchmarks
-    names = {o: o.name.lower() for o in Outcome if o.name.lower() not in asked}
+    others = {entry.name for entry in EVERY} - {
+        entry.name for entry in entries
+    }  # of other benchmarks
+    names = {o: o.name.lower() for o in Outcome if o.name.lower() not in others}
     found |= {f"outcome/{name}": float((codes == o).mean()) for o, name in names.items()}
     p, e, m, kinds = (np.reshape(x, (-1, x.shape[-1])) for x in (passed, evaluated, margin, kind))
-    for k, entry in enumerate(EVERY[: p.shape[1]]):
+    for k, entry in enumerate(entries):
         name = entry.name
         column = e[:, k]
         finite = m[column & np.isfinite(m[:, k]) & (kinds[:, k] != MarginKind.CAP), k]
@@ -104,9 +107,11 @@ def frame_of(columns: Mapping[str, Any]) -> Any:
     return pandas.DataFrame(columns)
 
 
-def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
-    """The columns of a frame of scores; `names(field)` gives a field of `Scores` as an array of B
-    rows."""
+def score_columns(
+    entries: Sequence[CriterionEntry], names: Callable[[str], Array]
+) -> dict[str, Any]:
+    """The columns of a frame of scores, whose criteria are `entries`; `names(field)` gives a field of `Scores` as an array of
+    B rows."""
     passed, evaluated, margin = names("passed"), names("evaluated"), names("margin")
     kind = names("margin_kind")
     columns: dict[str, Any] = {
@@ -116,10 +121,10 @@ def score_columns(names: Callable[[str], Array]) -> dict[str, Any]:
         "plan_reason": [PlanReason(int(r)).name.lower() for r in names("plan_reason")],
         "borderline": names("borderline"),
     }
-    for k, entry in enumerate(EVERY[: passed.shape[1]]):
+    for k, entry in enumerate(entries):
         judged = zip(passed[:, k], evaluated[:, k])
         columns[entry.passed_column] = [bool(p) if e else None for p, e in judged]
         columns[entry.margin_column] = margin[:, k]
         columns[entry.kind_column] = [MarginKind(int(i)).name.lower() for i in kind[:, k]]
-    times = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m")
-    return columns | {name: names(name) for name in times}
+    more = ("t_plan_s", "t_exec_s", "width_m", "opening_m", "grasp_shift_m", "presented_margin_m")
+    return columns | {name: names(name) for name in more}

@@ -41,9 +41,9 @@ from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
-from r2h_batch.judge.metrics import reach_distance
 from r2h_batch.judge.motion.execute import nothing_pushes
 from r2h_batch.judge.motion.time_law import limits
+from r2h_batch.judge.reach import reached
 from r2h_batch.judge.reception import reception
 from r2h_batch.scene.person import heads_of, with_person
 from r2h_batch.scene.scene import BodyPoses
@@ -100,7 +100,8 @@ class End(IntEnum):
     """the gripper does not hold the object (Stability)"""
     NOT_RECEIVED = 5
     """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
-    (Affordance), no grasp of the hand is free (motion takes), or the robot did not hold still (motion takes)"""
+    (Affordance), gripper or a sharp part come to the hand first (Presented, where the benchmark asks for it), no grasp of the
+    hand is free (motion takes), or the robot did not hold still (motion takes)"""
     TIMEOUT = 6
 
 
@@ -118,6 +119,7 @@ class Why(IntEnum):
     NO_GRASP = 8
     NOT_STILL = 9
     LATE = 10
+    NOT_PRESENTED = 11
 
 
 WORDS = np.array(
@@ -133,6 +135,7 @@ WORDS = np.array(
         "no grasp of the hand is free",
         "the object moved while the hand took it",
         "the horizon came first",
+        "the wanted part was not what the hand came to first",
     ]
 )
 _NAMES = np.array([end.name.lower() for end in End])
@@ -876,6 +879,10 @@ class HandoverEnv(VectorEnv):
         out = rows[held[rows] >= HELD_OUT_S - 1e-6]
         self._finish(out[self._blocked[out]], End.NOT_RECEIVED, Why.FINGERS_ON_REGION)
         out = out[~self._blocked[out]]
+        if len(out) and "presented" in self.scene.benchmark.asks:
+            presented = self._posed(out).presented
+            self._finish(out[~presented], End.NOT_RECEIVED, Why.NOT_PRESENTED)
+            out = out[presented]
         if self.motion.kind == "takes":
             self._offer(out)
         else:
@@ -888,7 +895,7 @@ class HandoverEnv(VectorEnv):
         center = self.scene.palm(self.trials.hand_index[rows], T)[2]
         ball = se3.apply(se3.inverse(T_world_obj), center.double()).float().contiguous()
         objects = self.trials.object_index[rows].to(torch.int32).contiguous()
-        far = reach_distance(self.scene, objects, ball)
+        far = reached(self.scene, objects, ball).distance_m
         return self.scene.config.thresholds.reach_radius_m - far
 
     def _offer(self, rows: Tensor) -> None:
@@ -896,13 +903,10 @@ class HandoverEnv(VectorEnv):
         ends."""
         if not len(rows):
             return
-        trials, inputs = self._trials_now(rows), self.scores.inputs
-        assert inputs is not None
-        posed = self.evaluator.score(
-            inputs.T_obj_ee[rows], self.T_world_ee[rows].float(), trials, stages="pose"
-        )
+        posed = self._posed(rows)
         found = posed.inputs
         assert found is not None
+        trials = found.trials
         assert self._heads is not None  # hands that take have a person
         at_rest = replace(posed, q_goal=self.q[rows]).with_inputs(found)
         reception_scores = reception(at_rest, head=self._heads[rows])
@@ -920,6 +924,13 @@ class HandoverEnv(VectorEnv):
             T[received] for T in (reception_scores.T_world_before, reception_scores.T_world_hand)
         )
         self._take(rows[received], Taken(before, there, vertices, joints))
+
+    def _posed(self, rows: Tensor) -> Scores:
+        """The pose stage of robot and receivers where they are."""
+        inputs = self.scores.inputs
+        assert inputs is not None
+        poses = inputs.T_obj_ee[rows], self.T_world_ee[rows].float()
+        return self.evaluator.score(*poses, self._trials_now(rows), stages="pose")
 
     def _trials_now(self, rows: Tensor) -> Trials:
         """Trials with the receivers where they are."""

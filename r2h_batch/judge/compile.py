@@ -12,7 +12,7 @@ from r2h_batch.kernels.ik.nearest import nearest_posture
 from r2h_batch.kernels.ik.step import solve_ik_kernel
 from r2h_batch.kernels.judge.goal import goal_clearance
 from r2h_batch.kernels.judge.goal_distance import goal_safe_distance
-from r2h_batch.kernels.judge.presented import region_presented
+from r2h_batch.kernels.judge.presented import present
 from r2h_batch.kernels.judge.reach import point_to_object
 from r2h_batch.kernels.judge.rows import usable_rows
 from r2h_batch.kernels.judge.verdict import judge_criterion
@@ -30,7 +30,7 @@ SHARED = (
     close_gripper,
     point_to_object,
     usable_rows,
-    region_presented,
+    present,
     judge_criterion,
 )
 """and of each that every call needs and that does not depend on it. The kernels of paths and of

@@ -15,12 +15,12 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32
 from torch import Tensor
 
-from r2h_batch.base.launch import over_trials
-from r2h_batch.config import CLEARANCE_CAP_M, FARTHEST_M, EvalConfig
+from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
-from r2h_batch.kernels.judge import reach as reach_kernels
+from r2h_batch.judge.presented import Presented
+from r2h_batch.judge.reach import Reached
 from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
 from r2h_batch.verdicts import (
@@ -85,6 +85,8 @@ class Evidence:
     reason: Int32[Tensor, " b"]  # PlanReason
     nearest: NearestApproach  # of the robot to the receiver
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
+    reached: Reached  # where what Reach measures of the object is nearest to the ball's middle
+    presented: Presented  # what comes to the hand first
     picked: "Picked | None" = None  # None: the benchmark does not ask for Pick
 
 
@@ -172,34 +174,8 @@ def reach(e: Evidence) -> Criterion:
 
     The surface's tables stand in the object's frame: the ball is moved there, not the object.
     """
-    held = e.held
-    distance = reach_distance(e.scene, held.objects, held.ball)
-    return Criterion(distance, held.active, limit=e.config.thresholds.reach_radius_m, below=True)
-
-
-def reach_distance(
-    scene: Scene,
-    objects: Int32[Tensor, " b"],
-    point: Float32[Tensor, "b 3"],
-) -> Float32[Tensor, " b"]:
-    """Distance of points from what Reach measures of their objects, 0 inside.
-
-    Args:
-        scene: with the objects' surfaces.
-        objects: (B,) int32 rows of `Scene.objects`.
-        point: (B, 3) float32, object frame, m.
-
-    Returns:
-        (B,) m.
-    """
-    made = over_trials(reach_kernels.point_to_object, len(point), scene.device, chunk=64)(
-        cap=FARTHEST_M,
-        surfaces=scene.reach_surfaces,
-        mesh=scene.reach_mesh_ids,
-        object=objects,
-        point=point,
-    )
-    return made["distance"]
+    radius = e.config.thresholds.reach_radius_m
+    return Criterion(e.reached.distance_m, e.held.active, limit=radius, below=True)
 
 
 def affordance(e: Evidence) -> Criterion:
@@ -252,6 +228,14 @@ def pick(e: Evidence) -> Criterion:
         kind=e.picked.reason,
         kind_of=KIND_OF_PICK,
     )
+
+
+def presented(e: Evidence) -> Criterion:
+    """Presented(g, h) <=> the wanted part meets the ball B_h, and neither the gripper nor a sharp part is nearer to the palm
+    than it by more than t: `judge.presented`. Margin: min(r_h - dist(c_h, wanted), t + min(dist(p_h, gripper), dist(p_h,
+    sharp)) - dist(p_h, wanted)).
+    """
+    return Criterion(e.presented.margin_m, e.held.active)
 
 
 def received(e: Evidence) -> Criterion:

@@ -1,56 +1,77 @@
-"""Presented: does the receiver's region face the palm, and lie where the hand reaches? No part of
-the verdict."""
+"""Presented: does the wanted part come to the hand first, before gripper and sharp parts? And Upright: does a vessel stand?
+
+The wanted part is the receiver's region in S1, the object in S0. With c_h the middle of the receiver's ball and p_h the palm,
+
+    margin = min(r_h - dist(c_h, wanted), t + min(dist(p_h, gripper), dist(p_h, sharp)) - dist(p_h, wanted))
+
+A criterion where a benchmark asks for it, and a column everywhere.
+"""
 
 from dataclasses import dataclass
 
-from jaxtyping import Bool, Float32
+from jaxtyping import Float32, Int8
 from torch import Tensor
 
 from r2h_batch.base.launch import over_trials
-from r2h_batch.config import FARTHEST_M, Thresholds
+from r2h_batch.config import FARTHEST_M, PRESENTED_M, Thresholds
 from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.reach import Reached
 from r2h_batch.kernels.judge import presented as kernels
 from r2h_batch.scene.scene import Scene
-
-FACING_DEG = 90.0
-"""The region faces the palm up to this angle: its centre is on the palm's side of the grasp."""
+from r2h_batch.verdicts import Nearer
 
 
 @dataclass(frozen=True)
 class Presented:
-    """How the region is presented in B trials; NaN and False where the object has no region or the
-    row is not judged."""
+    """How the object is presented in B trials."""
 
-    angle_deg: Float32[Tensor, " b"]
-    """at the TCP, between the directions to the region's centre and to the palm's"""
-    distance_m: Float32[Tensor, " b"]
-    """from the ball's centre c_h to the region's nearest point"""
-    presented: Bool[Tensor, " b"]
+    margin_m: Float32[Tensor, " b"]
+    """NaN in rows that are not judged"""
+    by: Int8[Tensor, " b"]
+    """`Nearer`: what the margin is about; -1 in these rows"""
+    tilt_deg: Float32[Tensor, " b"]
+    """of a vessel: between its opening and the world's up; NaN of other objects"""
+
+    @property
+    def fields(self) -> dict[str, Tensor]:
+        """Those of `Scores` that it is."""
+        return {
+            "presented_margin_m": self.margin_m,
+            "presented_by": self.by,
+            "tilt_deg": self.tilt_deg,
+        }
 
 
 def presented(
     scene: Scene,
     held: AttachedBatch,
+    reach: Reached,
     thresholds: Thresholds,
 ) -> Presented:
-    """Where each trial's receiver's region is when the object is handed over: facing, and within
-    the ball's radius of c_h.
+    """What comes to the hand first in each trial, and how vessels stand.
 
     Args:
-        scene: with regions and palms.
+        scene: with surfaces, regions, sharp parts and palms.
         held: B trials with the object in the gripper.
+        reach: where the solids are nearest to the balls' middles.
         thresholds: with `reach_radius_m`.
     """
-    regions = scene.regions
+    regions, sharp, bodies = scene.regions, scene.sharp, held.body_poses
     point, _ = scene.palms
-    made = over_trials(kernels.region_presented, len(held.active), scene.device, chunk=64)(
+    made = over_trials(kernels.present, len(held.active), scene.device, chunk=64)(
         cap=FARTHEST_M,
-        facing_deg=FACING_DEG,
         reach_radius=thresholds.reach_radius_m,
-        surfaces=regions.surfaces,
+        nearer_free=PRESENTED_M["S0"],
+        nearer_region=PRESENTED_M["S1"],
+        surfaces=scene.grasp_tables.surfaces,
+        mesh=scene.object_mesh_ids,
+        regions=regions.surfaces,
         region_offset=regions.offset,
-        mesh=regions.mesh_ids,
-        center=regions.centers,
+        region_mesh=regions.mesh_ids,
+        sharp=sharp.surfaces,
+        sharp_mesh=sharp.mesh_ids,
+        up=scene.openings,
+        gripper=scene.grasp_tables.gripper,
         palm_point=point,
         active=held.active,
         object=held.objects,
@@ -58,6 +79,16 @@ def presented(
         attached=held.attached,
         T_world_ee=held.T_world_ee,
         T_world_hand=held.T_world_hand,
+        R_wrist_grip=bodies.R_wrist_grip,
+        p_wrist_grip=bodies.p_wrist_grip,
+        R_wrist_obj=bodies.R_wrist_obj,
+        p_wrist_obj=bodies.p_wrist_obj,
         ball=held.ball,
+        reach=reach.distance_m,
+        nearest=reach.nearest,
     )
-    return Presented(made["angle"], made["distance"], made["presented"])
+    return Presented(made["margin"], made["by"], made["tilt"])
+
+
+if [n.value for n in Nearer] != [kernels.BY_BALL, kernels.BY_GRIPPER, kernels.BY_SHARP]:
+    raise ValueError("verdicts.Nearer has the codes of kernels/judge/presented.py")

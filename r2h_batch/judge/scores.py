@@ -16,7 +16,6 @@ from r2h_batch.judge.attach import ROWS_CHUNK, AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.metrics import Criterion, constants
-from r2h_batch.judge.presented import Presented
 from r2h_batch.kernels.judge import verdict as kernels
 from r2h_batch.types import (
     CollidingPair,
@@ -26,25 +25,23 @@ from r2h_batch.types import (
     PlanReason,
     Scores,
 )
-from r2h_batch.verdicts import EVERY, IN_ORDER, SPLITS, UNITS
+from r2h_batch.verdicts import IN_ORDER, SPLITS, UNITS, CriterionEntry
 
 if TYPE_CHECKING:  # paths: a pose's first verdict is there 0.2 s earlier without them
     from r2h_batch.judge.motion.execute import Executed
     from r2h_batch.judge.motion.time_law import Motion
     from r2h_batch.judge.plan import Plan
 
-IN_ORDER_COLUMNS = tuple(EVERY.index(entry) for entry in IN_ORDER)
-"""Columns of criteria in the order in which the first failure is looked for."""
-
 
 def verdict(
+    entries: Sequence[CriterionEntry],
     criteria: Sequence[Criterion],
     held: AttachedBatch,
     slip_m: Float64[Tensor, " b"] | None,
     valid: Bool[Tensor, " b"] | None = None,
 ) -> dict[str, Tensor]:
-    """The fields of `Scores` that need neither path nor posture; `criteria` in the order of
-    `EVERY`.
+    """The fields of `Scores` that need neither path nor posture; `criteria` in the order of `entries`, which are the
+    benchmark's.
 
     The outcome is the first criterion (`IN_ORDER`) that was evaluated and failed. `valid`: False where the
     simulator failed; such a row is judged by nothing and is INVALID_SIM. A row that is not active
@@ -73,13 +70,15 @@ def verdict(
         "kind": constants(active.device, torch.int8, 0),
         "code": constants(active.device, torch.int32, 0),
     }
-    for column in (k for k in IN_ORDER_COLUMNS if k < len(criteria)):
-        c, entry = criteria[column], EVERY[column]
+    for entry in (e for e in IN_ORDER if e in entries):
+        column = entries.index(entry)
+        c = criteria[column]
         kind = {}
         if c.kind is not None:
             kind["code" if c.kind_of else "kind"] = c.kind.contiguous()
         over_trials(kernels.judge_criterion, b, device, outputs=columns, chunk=ROWS_CHUNK)(
             column=column,
+            failure=int(Outcome[entry.name.upper()]),
             borderline=UNITS[entry.unit].borderline,
             touching=int(entry.touching_passes),
             partial=int(entry.splits != SPLITS),
@@ -99,7 +98,6 @@ def verdict(
 
 
 def motion_fields(
-    region: Presented,
     active: Bool[Tensor, " b"],
     planned: "Plan",
     motion: "Motion",
@@ -129,9 +127,6 @@ def motion_fields(
         time_s = executed_time_at(executed, nearest.segment, nearest.fraction)
     kept, kept_len, failed_state = _kept_motion(executed, keep_motion)
     return {
-        "presented": region.presented,
-        "presented_angle_deg": region.angle_deg,
-        "presented_distance_m": region.distance_m,
         "plan_reason": torch.where(restless, int(PlanReason.NOT_SETTLED), planned.reason).to(
             torch.int8
         ),
@@ -152,7 +147,7 @@ def motion_fields(
     }
 
 
-def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict[str, Tensor]:
+def pose_fields(goal: Goal, nearest: NearestApproach) -> dict[str, Tensor]:
     """The fields of `Scores` of poses that were judged without a path, beside those of
     `verdict`."""
     b, joints = goal.q.shape
@@ -166,9 +161,6 @@ def pose_fields(region: Presented, goal: Goal, nearest: NearestApproach) -> dict
         safe_body=nearest.body,
         point=nearest.point,
         q=goal.q,
-        presented=region.presented,
-        angle=region.angle_deg,
-        distance=region.distance_m,
     )
     return found
 
@@ -211,7 +203,8 @@ def judged_later(
         margin: (N,) in its unit.
         kind: (N,) `MarginKind`.
     """
-    column, entry = scores.criteria.index(criterion), EVERY[scores.criteria.index(criterion)]
+    column = scores.criteria.index(criterion)
+    entry = scores.entries[column]
 
     def put(name: str, value: Any, at: Any = (rows, column)) -> Tensor:
         field: Tensor = getattr(scores, name).clone()

@@ -22,7 +22,7 @@ from r2h_batch.base.table import (
     plain,
     tex,
 )
-from r2h_batch.config import ExecutionError, ObjectErrors
+from r2h_batch.config import PRESENTED_M, ExecutionError, ObjectErrors
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import Rate, Row, summarise
@@ -34,9 +34,12 @@ from r2h_batch.report.statistics.rates import (
     FAILURES,
     PARTIAL,
     PICK,
+    PRESENTED,
+    PRESENTED_BEFORE,
     RATES,
     THROUGH,
     TIMES,
+    UPRIGHT,
     Share,
     shares,
 )
@@ -66,8 +69,6 @@ FOOTNOTES = (
     "T_plan: a batch's planning time divided by its trials, so no latency; the method's own time is not in it. T_exec: mean"
     " over the trials whose arm came to rest at its goal. T_tot is their sum. A table below counts the trials of each.",
     f"Avg: mean of the two splits, {_SKIPPED} (not evaluated) taken as 0.",
-    "Presented (information only, no part of SR): percent of S1's trials, failed ones too, in which the receiver's region faces"
-    " the palm and is in reach. Facing: within 90 degrees, seen from the TCP. In reach: within the ball's radius.",
     "Intervals: 95 %. One is for more trials with these objects (Wilson; MOVER in Avg). The object-clustered one (t, of log"
     " odds) is for the mean of all objects of the same kind.",
 )
@@ -87,8 +88,24 @@ INVALID_NOTE = (
     " TRIAL says which matrix, and what would make it right."
 )
 
-ASKED_FOR = (PICK,)
-"""Shares without a column in tables that have none: of methods that are told the truth."""
+PRESENTED_NOTES = {
+    PRESENTED: "Presented (information only, no part of SR): percent of the successes in which the wanted part (S0: the object)"
+    f" is within the ball, and neither the gripper nor a sharp part is nearer to the palm by more than"
+    f" {100 * PRESENTED_M['S0']:g} cm (S0) or {100 * PRESENTED_M['S1']:g} cm (S1).",
+    PRESENTED_BEFORE: "Presented, before 0.4: what r2h_batch 0.3 stored under that name. It is no part of SR, and another"
+    " question than Presented.",
+}
+
+OF_SUCCESSES = {PRESENTED: "Pres.", UPRIGHT: "Upright"}
+"""Shares that the short table has, too, and their headings there."""
+OF_SUCCESSES_NOTE = (
+    "Pres. (Presented): percent of the successes in which the wanted part comes to the hand first, before gripper and sharp"
+    " parts. Upright: of those with an open vessel, whose opening is up. No part of SR."
+)
+
+ASKED_FOR = (PICK, PRESENTED, PRESENTED_BEFORE)
+"""Shares without a column in tables that have none: of methods that are told the truth, of what the benchmark judges by, of
+rows of later versions."""
 
 BEST_NOTE = (
     "Bold: best rate of a split whose methods all answered the same trials and were judged alike; of a failure only where no"
@@ -136,6 +153,7 @@ class Report:
         return (
             _first_failure(self.failures),
             *FOOTNOTES[1:],
+            *(PRESENTED_NOTES[name] for name in PRESENTED_NOTES if name in self.shares),
             *map(self._partial, PARTIAL),
             *families,
             *(scans if own else []),
@@ -243,6 +261,8 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
+    for asks in {PRESENTED} & {name for r in runs for name in r.asks}:
+        rows = tuple(_without(row, asks) for row in rows)  # a column of first failures says it
     rates = pick_rates(run)
     rows = tuple(
         replace(row, shares={**row.shares, PICK: rates[row.split, row.method]})
@@ -556,6 +576,7 @@ def brief(report: Report) -> str:
         *(SPLIT, method_column(short), number_column(report, "sr")),
         *(Column("sr", "95 %", INTERVAL), Column("sr_few", f"{report.few} new", INTERVAL)),
         *(number_column(report, c) for c in rates),
+        *(Column(c, word, PERCENT) for c, word in OF_SUCCESSES.items() if c in report.shares),
         *([Column("invalid")] if (none := sum(map(invalid, report.rows))) else []),
     ]
     origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in report.origin.items())
@@ -563,6 +584,7 @@ def brief(report: Report) -> str:
         _first_failure(report.failures),
         f"95 %: the interval of SR for more trials with these objects. {report.few} new: where the mean of {report.few}"
         f" {report.new} lies that you bring, with 95 %.",
+        *([OF_SUCCESSES_NOTE] if any(c in report.shares for c in OF_SUCCESSES) else []),
         *([INVALID_NOTE] if none else []),
         *map(plain, legend(short)),
         *report.misses,

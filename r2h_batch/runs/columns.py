@@ -14,6 +14,7 @@ from r2h_batch.verdicts import (
     EVERY,
     CollidingPair,
     CriterionEntry,
+    Nearer,
     PickReason,
     PlanReason,
     ReceiveReason,
@@ -117,11 +118,12 @@ TRIALS = (
     Column("received_grasps", pa.int32(), "receiving grasps that pass every step", since="0.3.0", asked="received"),
     Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
     Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
-    Column("presented", BOOL,
-           "the receiver's region [faces the palm](choices.md#reach-affordance-safe) within reach; null: no region (S0)",
-           since="0.2.0"),
-    Column("presented_angle_deg", FLOAT, "0: the region points at the palm; 180: away from it", "deg", since="0.2.0"),
-    Column("presented_distance_m", FLOAT, "from c_h to the region's nearest point", "m", since="0.2.0"),
+    Column("presented_margin_m", FLOAT,
+           "margin of [Presented](choices.md#presented), whether or not the benchmark asks for it: 0 and more passes; null: not"
+           " judged", "m", since="0.4.0"),
+    Column("presented_by", NAME, f"what that margin is about: {_words(n.name for n in Nearer)}", since="0.4.0"),
+    Column("tilt_deg", FLOAT, "angle between an open vessel's opening and the world's up; null: no vessel", "deg",
+           since="0.4.0"),
     Column("t_plan_s", FLOAT, "wall time of planning a batch / its size; null: planning did not run", "s"),
     Column("t_exec_s", FLOAT, "until the arm stays at its goal; null: no path", "s"),
     Column("t_method_s", FLOAT, "the method's own time, as it says; else the sweep's time for a chunk / its trials", "s"),
@@ -220,6 +222,19 @@ TABLES = {
 """Kind of table in a run folder -> its columns, in order."""
 
 
+PRESENTED_BEFORE = "presented"
+"""The column that said before 0.4 whether the receiver's region faces the palm, seen from the TCP, within reach. Presented asks
+for something else, and no table mixes the two."""
+
+BEFORE = {
+    "borderline": {
+        PRESENTED_BEFORE: BOOL,
+        "presented_angle_deg": FLOAT,
+        "presented_distance_m": FLOAT,
+    }
+}
+"""A column of the trials -> those behind it that versions before 0.4 stored."""
+
 UNREAD = {
     "passed_received": {"passed_taken": BOOL},
     "margin_received_m": {"margin_taken_m": FLOAT},
@@ -245,9 +260,11 @@ def schema_of_kind(
         kind: a key of `TABLES`.
         joints: of the run's robot; the length of postures.
         asks: criteria that the run's benchmark asks for beside those of all.
-        unread: with the columns of older rows that nobody reads (`UNREAD`).
+        unread: with the columns that only older rows have (`BEFORE`, `UNREAD`).
     """
-    older = UNREAD if unread and kind == "trials" and "taken" in asks else {}
+    older = {}
+    if unread and kind == "trials":
+        older = BEFORE | (UNREAD if "taken" in asks else {})
     fields = []
     for c in TABLES[kind]:
         if c.asked and c.asked not in asks:
@@ -266,3 +283,8 @@ def _sized(kind: pa.DataType, joints: int) -> pa.DataType:
 def later(kind: str) -> dict[str, str]:
     """Columns of a kind that older rows may lack -> the first version that stores them."""
     return {c.name: c.since for c in TABLES[kind] if c.since}
+
+
+def earlier(kind: str) -> tuple[str, ...]:
+    """Columns of a kind that rows of this version lack."""
+    return tuple(n for more in BEFORE.values() for n in more) if kind == "trials" else ()

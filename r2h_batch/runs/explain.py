@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from r2h_batch.config import PRESENTED_M
 from r2h_batch.verdicts import ELSEWHERE, EVERY, NO_LONGER, UNITS, Unit
 
 REASONS = {
@@ -106,6 +107,8 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
         return f"{words}{why}{met}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "received":
         return f"{words}{RECEIVES.get(str(row.get('received_reason')), '')}".rstrip(" :,")
+    if outcome == "presented" and (nearer := presented_words(row)):
+        return f"{words}{nearer}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         part = body_name(str(row["witness_safe_part"]))
         if not row.get("witness_point_m"):  # a point is known of the hand alone
@@ -119,6 +122,29 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if not text or not by:
         return f"{words}{text}".rstrip(" :,")
     return f"{words}{text}, by {by}"
+
+
+NEARER = {"gripper": "the gripper", "sharp": "a sharp part"}
+"""What comes to the palm beside the wanted part (`Nearer`), in words."""
+
+
+def wanted_words(row: Mapping[str, Any]) -> str:
+    """What the receiver wants, in words."""
+    return "the receiver's part" if row.get("split") == "S1" else "the object"
+
+
+def presented_words(row: Mapping[str, Any]) -> str:
+    """What Presented's margin is about, in words, whether or not the benchmark asks for it; empty where the row does not say
+    it."""
+    margin, by, wanted = row.get("presented_margin_m"), row.get("presented_by"), wanted_words(row)
+    if margin is None or by is None:
+        return ""
+    if by not in NEARER:
+        return f"{wanted} is {100 * abs(margin):.1f} cm {'inside' if margin >= 0 else 'outside'} the ball in front of the palm"
+    ahead = 100 * (PRESENTED_M[str(row["split"])] - margin)
+    if ahead <= 0:
+        return f"{wanted} is {-ahead:.1f} cm nearer to the palm than {NEARER[by]}"
+    return f"{NEARER[by]} is {ahead:.1f} cm nearer to the palm than {wanted}"
 
 
 def _pick_pair(row: Mapping[str, Any]) -> str:
@@ -219,6 +245,11 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         return _pick_pair(row)
     if criterion == "received":
         return "the receiving grasps of this object and hand"
+    if criterion == "presented" and row.get("presented_by") in NEARER:
+        allowed = 100 * PRESENTED_M[str(row["split"])]
+        return f"{presented_words(row)}; up to {allowed:g} cm is allowed"
+    if criterion == "presented":
+        return presented_words(row)
     if criterion == "reach":
         return "the object's nearest point to the ball in front of the palm"
     return "the fingers and the receiver's part" if criterion == "affordance" else ""
@@ -245,6 +276,11 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
         radius = limits.get("reach_radius_m")
         ball = "" if radius is None else f" (radius {1e3 * radius:.0f} mm)"
         return f"the object {by} nearer to the ball's middle{ball}"
+    if criterion == "presented":
+        away = (
+            f", or {by_} farther away" if (by_ := NEARER.get(str(row.get("presented_by")))) else ""
+        )
+        return f"{wanted_words(row)} {by} nearer to the hand{away}"
     if criterion == "affordance":
         return f"the fingers {by} farther from the receiver's part"
     if criterion == "safe":

@@ -18,7 +18,6 @@ from r2h_batch.runs.columns import (
 )
 from r2h_batch.verdicts import (
     ELSEWHERE,
-    EVERY,
     NO_LONGER,
     PERSON,
     SEXES,
@@ -26,6 +25,7 @@ from r2h_batch.verdicts import (
     SPLITS,
     CollidingPair,
     MarginKind,
+    Nearer,
     Outcome,
     PickReason,
     PlanReason,
@@ -161,14 +161,13 @@ def score_rows(
     pair, has_path = _array(scores.plan_pair).astype(np.int32), _array(scores.path_len) > 0
     pairs = [p.name.lower() for p in CollidingPair]
     seconds = np.full(len(ids), np.nan, np.float32) if t_method_s is None else t_method_s
-    nowhere = np.isnan(_array(scores.presented_angle_deg))
     columns = {
         **_trial_columns(trials, names),
         "outcome": _named(scores.outcome, OUTCOME_NAMES),
         "plan_reason": _named(scores.plan_reason, [r.name.lower() for r in PlanReason]),
         "plan_pair": _named(np.where(has_path | (pair == CollidingPair.NONE), -1, pair), pairs),
         "nearest_pair": _named(np.where(has_path & (pair != CollidingPair.NONE), pair, -1), pairs),
-        "presented": pa.array(_array(scores.presented), pa.bool_(), mask=nowhere),
+        "presented_by": _named(scores.presented_by, [n.name.lower() for n in Nearer]),
         "t_method_s": _floats(seconds),
     }
     columns |= _person_columns(trials)
@@ -181,7 +180,7 @@ def score_rows(
         reason, grasps = _array(vars(scores)["receives"]).T
         columns["received_reason"] = _named(reason, [r.name.lower() for r in ReceiveReason])
         columns["received_grasps"] = pa.array(grasps, pa.int32(), mask=grasps < 0)
-    for i, entry in enumerate(EVERY[: passed.shape[1]]):
+    for i, entry in enumerate(scores.entries):
         columns[entry.passed_column] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[entry.margin_column] = _floats(margin[:, i])
         columns[entry.kind_column] = _named(kind[:, i] - 1, KINDS)

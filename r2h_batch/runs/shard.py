@@ -28,7 +28,7 @@ from pydantic import Field
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.base.io.read import printable
-from r2h_batch.runs.columns import TABLES, later
+from r2h_batch.runs.columns import TABLES, earlier, later
 from r2h_batch.runs.files import (
     RunError,
     in_the_way,
@@ -217,7 +217,7 @@ def check_receipt(
 
 def check_present(kind: str, columns: Sequence[str], names: set[str], path: Path) -> None:
     """`RunError` if a column is missing that every version stored."""
-    if lacking := set(columns) - names - set(later(kind)):
+    if lacking := set(columns) - names - set(later(kind)) - set(earlier(kind)):
         raise RunError(f"{path}: column {min(lacking)!r} is missing")
 
 

@@ -436,7 +436,7 @@ class Run:
         header = self.entry(method).header
         schema = schema_of(header, kind)
         if columns is not None:
-            every = schema_of({**header, "asks": ASKED_NAMES}, kind)
+            every = schema_of({**header, "asks": ASKED_NAMES}, kind, unread=True)
             schema = pa.schema([every.field(n) for n in columns])
         tables = [schema.empty_table(), *self.shards(kind, method, columns)]
         return pa.concat_tables(tables).unify_dictionaries()
@@ -454,7 +454,7 @@ class Run:
         """
         entry = self.entry(method)
         names = list(columns or schema_of(entry.header, kind).names)
-        every = schema_of({**entry.header, "asks": ASKED_NAMES}, kind)
+        every = schema_of({**entry.header, "asks": ASKED_NAMES}, kind, unread=True)
         for stored in entry.shards.values():
             if kind not in stored.kinds:
                 if kind == "failures":  # no simulation of this shard failed

@@ -39,24 +39,12 @@ class GraspTables:
 
 @dataclass(frozen=True, eq=False)
 class Regions:
-    """The receivers' regions of N objects on one device: object i's is surface `offset` + i, which
-    has no triangle where there is no region."""
+    """Parts of the surfaces of N objects on one device: object i's is surface `offset` + i, which
+    has no triangle where there is none."""
 
     surfaces: Surfaces
     offset: int
-    mesh_ids: wp.array  # (N,) the same triangles for Warp's mesh queries; 0: no region
-    centers: wp.array  # (N,) by area, object frame, m
-
-
-def region_centers(regions: Sequence[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """(N, 3) centres by area of N surfaces, each a (T, 3, 3) array of triangles; 0 without any."""
-    centers = np.zeros((len(regions), 3), np.float32)
-    for center, triangles in zip(centers, regions, strict=True):
-        corners = triangles.astype(np.float64)
-        sides = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        if len(corners):
-            center[:] = np.average(corners.mean(1), axis=0, weights=np.linalg.norm(sides, axis=1))
-    return centers
+    mesh_ids: wp.array  # (N,) the same triangles for Warp's mesh queries; 0: no triangle
 
 
 def grasp_tables(objects: Sequence[ObjectModel], robot: Robot, device: str = "cpu") -> GraspTables:

@@ -32,7 +32,7 @@ from r2h_batch.scene.grasp_set import GraspSet
 from r2h_batch.scene.mesh_import.cache import kept_with_warnings, key_of
 from r2h_batch.scene.mesh_import.limits import ObjectMeshError
 from r2h_batch.scene.solid import sample_surface, solid_occupancy
-from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
+from r2h_batch.scene.vocabulary import S0_ROLES, SHARP, THINGS, VESSELS, Thing
 
 if TYPE_CHECKING:  # trimesh takes 0.3 s, and stored objects are read without it
     import trimesh
@@ -138,11 +138,22 @@ class ObjectModel:
     turn: Turn | None = None
     """which object was turned to make this one (`turned`): its grasps are that one's, turned"""
 
+    sharp: tuple[str, ...] = ()
+    """parts that a hand should not come to first: blades, tips, bits (`judge.presented`)"""
+
+    up: NDArray[np.float64] | None = None
+    """(3,) unit vector from a vessel's bottom to its opening; None: it is no open vessel"""
+
     @cached_property
     def who(self) -> Who:
         """Who it is, whatever it is called and however it lies: what is shipped of it, its family, and its own frame."""
         by_words = (name for name, thing in THINGS.items() if self.words == thing)
         return Who(self, _stored_name(self), self.category or next(by_words, None), self.turn)
+
+    @property
+    def sharp_face(self) -> NDArray[np.bool_]:
+        """(F,) the faces of the sharp parts."""
+        return np.isin(self.face_part, [self.part_names.index(name) for name in self.sharp])
 
     @property
     def occupancy(self) -> NDArray[np.bool_]:
@@ -228,14 +239,38 @@ def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
 def _stored_object(name: str) -> ObjectModel:
     """A stored object; an instance of a family has its category's words and roles."""
     if name in BUILT_IN_NAMES:
-        return read_object(str(resources.files("r2h_batch.assets.objects") / f"{name}.npz"))
+        model = read_object(str(resources.files("r2h_batch.assets.objects") / f"{name}.npz"))
+        return replace(model, sharp=SHARP.get(name, ()), up=up_of(model, VESSELS.get(name)))
     model = read_object(str(resources.files("r2h_batch.assets.families") / f"{name}.npz"))
     return with_words(model, name.rpartition("_")[0])
 
 
 def with_words(model: ObjectModel, category: str) -> ObjectModel:
     """The object with the words and roles of a built-in one, as an instance of its family."""
-    return replace(model, words=THINGS[category], roles=S0_ROLES.get(category), category=category)
+    return replace(
+        model, words=THINGS[category], roles=S0_ROLES.get(category), category=category, sharp=SHARP.get(category, ()),
+        up=up_of(model, VESSELS.get(category)),
+    )  # fmt: skip
+
+
+def up_of(model: ObjectModel, parts: tuple[str, str] | None) -> NDArray[np.float64] | None:
+    """The direction (3,) from the middle of one part's surface to that of another, as `ObjectModel.up`; None for None.
+
+    Args:
+        model: any object.
+        parts: a vessel's lowest part and the one around its opening.
+    """
+    if parts is None:
+        return None
+    triangles = model.vertices.astype(np.float64)[model.faces]
+    area = np.linalg.norm(
+        np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1
+    )
+    of = [model.face_part == model.part_names.index(name) for name in parts]
+    low, high = (np.average(triangles[f].mean(1), axis=0, weights=area[f]) for f in of)
+    up: NDArray[np.float64] = (high - low) / np.linalg.norm(high - low)
+    up.flags.writeable = False
+    return up
 
 
 def stored_arrays_of(file: str, built_in: str) -> dict[str, NDArray[Any]]:
@@ -299,7 +334,7 @@ def turned(model: ObjectModel, R: NDArray[np.float64]) -> ObjectModel:
             piece_vertices=spun(model.piece_vertices), points=spun(model.points), normals=spun(model.normals),
             com=spun(model.com), inertia=R @ model.inertia @ R.T,
             voxels=np.packbits(occupied.reshape(-1)), voxel_origin=origin, voxel_pitch=pitch, receiver_boxes=boxes,
-            grasps=grasps, turn=Turn(model, R),
+            grasps=grasps, turn=Turn(model, R), up=None if model.up is None else R @ model.up,
         )
     )  # fmt: skip
 
@@ -331,12 +366,18 @@ def _stored_name(model: ObjectModel) -> str | None:
 
 def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     """sha256 (hex) over names, dtypes, shapes and bytes of every field, in order: same geometry,
-    same digest."""
+    same digest. What is sharp and where a vessel opens is not part of it: only a benchmark that asks for Presented, whose
+    digest has it, judges by it."""
     digest = hashlib.sha256()
     for model in [objects] if isinstance(objects, ObjectModel) else objects:
         for f in fields(model):
             value = getattr(model, f.name)
-            if f.name in ("repair", "category"):  # the geometry and the words say it
+            if f.name in (
+                "repair",
+                "category",
+                "sharp",
+                "up",
+            ):  # the geometry and the words say the first two
                 continue
             if f.name in SAID:
                 digest.update(b"" if value is None else _said(value).encode())
@@ -347,7 +388,7 @@ def object_digest(objects: ObjectModel | Sequence[ObjectModel]) -> str:
     return digest.hexdigest()
 
 
-SAID = ("grasps", "roles", "words", "repair", "receiver_boxes", "category", "turn")
+SAID = ("grasps", "roles", "words", "repair", "receiver_boxes", "category", "turn", "sharp", "up")
 """Fields that only a benchmark or a user fills: nothing of them is stored with an object."""
 
 

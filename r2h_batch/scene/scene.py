@@ -33,7 +33,6 @@ from r2h_batch.scene.grasp_tables import (
     Regions,
     grasp_tables,
     gripper_tables,
-    region_centers,
     surfaces_on,
 )
 from r2h_batch.scene.hand import HandSet
@@ -283,10 +282,22 @@ class Scene:
 
     @cached_property
     def _region_meshes(self) -> list[wp.Mesh | None]:
+        return self._meshes_of([o.receiver_face for o in self.objects])
+
+    @cached_property
+    def _sharp_meshes(self) -> list[wp.Mesh | None]:
+        return self._meshes_of([o.sharp_face for o in self.objects])
+
+    def _meshes_of(self, chosen: list[NDArray[np.bool_]]) -> list[wp.Mesh | None]:
+        """The chosen faces of each object; None where there are none."""
         return [
-            self._mesh(o.vertices, o.faces[o.receiver_face]) if o.receiver_face.any() else None
-            for o in self.objects
+            self._mesh(o.vertices, o.faces[faces]) if faces.any() else None
+            for o, faces in zip(self.objects, chosen, strict=True)
         ]
+
+    def _mesh_ids(self, meshes: list[wp.Mesh | None]) -> wp.array:
+        ids = [0 if m is None else m.id for m in meshes]
+        return wp.array(ids, dtype=wp.uint64, device=self.device)
 
     @cached_property
     def reach_surfaces(self) -> Surfaces:
@@ -316,13 +327,20 @@ class Scene:
         corners = [o.vertices[o.faces[o.receiver_face]] for o in self.objects]
         if self.grasp_tables.volumes:  # its regions are boxes
             surfaces, offset = surfaces_on(self.device, corners, [False] * len(corners)), 0
-        ids = [0 if m is None else m.id for m in self._region_meshes]
-        return Regions(
-            surfaces,
-            offset,
-            wp.array(ids, dtype=wp.uint64, device=self.device),
-            wp.array(region_centers(corners), dtype=wp.vec3, device=self.device),
-        )
+        return Regions(surfaces, offset, self._mesh_ids(self._region_meshes))
+
+    @cached_property
+    def sharp(self) -> Regions:
+        """The objects' sharp parts."""
+        corners = [o.vertices[o.faces[o.sharp_face]] for o in self.objects]
+        surfaces = surfaces_on(self.device, corners, [False] * len(corners))
+        return Regions(surfaces, 0, self._mesh_ids(self._sharp_meshes))
+
+    @cached_property
+    def openings(self) -> wp.array:
+        """Unit vectors towards the openings of vessels, each in its object's frame; zero for other objects."""
+        up = [np.zeros(3) if o.up is None else o.up for o in self.objects]
+        return wp.array(np.array(up, np.float32), dtype=wp.vec3, device=self.device)
 
     @cached_property
     def hand_mesh(self) -> Any:

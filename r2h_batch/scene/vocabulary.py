@@ -32,6 +32,21 @@ S0_ROLES: dict[str, dict[str, str]] = {
 """S0 has no receiver's region: the parts that people take these objects by (AffNet labels bowls and
 cups wrap-grasp)."""
 
+SHARP: dict[str, tuple[str, ...]] = {
+    "knife": ("blade",),
+    "scissors": ("blade",),
+    "screwdriver": ("tip",),
+    "power_drill": ("bit",),
+}
+"""The parts of built-in objects that nobody should come to first (Presented)."""
+
+VESSELS: dict[str, tuple[str, str]] = {
+    "cup": ("base", "rim"),
+    "bowl": ("foot", "rim"),
+    "wineglass": ("foot", "rim"),
+}
+"""Open vessels that are built in, and the parts from whose middle to whose middle is up."""
+
 PART_WORDS: dict[str, tuple[str, ...]] = {
     "handle": ("grip", "hilt", "haft", "hold"),
     "grip": ("handle", "handgrip", "hold"),
@@ -184,3 +199,14 @@ THINGS: dict[str, Thing] = {
         {"grip": ("neck", "collar", "head", "trigger", "top")},
     ),
 }
+
+
+def split_roles(roles: Mapping[str, str] | None) -> tuple[dict[str, str] | None, tuple[str, ...]]:
+    """Part -> function, grasp or wrap, None where no part has such a role; and the parts that are sharp.
+
+    Args:
+        roles: part -> one of these words, or sharp.
+    """
+    sharp = tuple(sorted(part for part, word in (roles or {}).items() if word == "sharp"))
+    others = {part: word for part, word in (roles or {}).items() if part not in sharp}
+    return (others if others or not sharp else None) if roles is not None else None, sharp

@@ -72,14 +72,19 @@ def margin_vector(scores: Scores, *, limit_m: float = CLEARANCE_CAP_M) -> Float3
 
 @check_tensor_arguments(scores=_scores)
 def first_failure(scores: Scores) -> Int64[Tensor, "*b"]:
-    """Column of the first criterion that fails (index into CRITERIA), -1 for a success, -2 for rows
+    """Column of the first criterion that fails (index into `Scores.criteria`), -1 for a success, -2 for rows
     that were not judged.
 
     Args:
         scores: B rows.
     """
     outcome = scores.outcome.long()
-    return torch.where(_judged(scores), outcome - 1, NOT_JUDGED)
+    found = outcome - 1
+    for column, entry in enumerate(scores.entries):
+        code = int(Outcome[entry.name.upper()])
+        if code != column + 1:  # the benchmark does not ask for one before it
+            found = torch.where(outcome == code, column, found)
+    return torch.where(_judged(scores), found, NOT_JUDGED)
 
 
 @check_tensor_arguments(scores=_scores, limit_m=_limit)

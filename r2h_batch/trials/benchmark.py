@@ -32,7 +32,7 @@ from r2h_batch.base.validate import (
     suggest_names,
 )
 from r2h_batch.base.validate_tensors import check_tensor
-from r2h_batch.config import EvalConfig, Thresholds, Workplace
+from r2h_batch.config import PRESENTED_M, EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
@@ -43,7 +43,7 @@ from r2h_batch.trials.certified import Answers, Certified
 from r2h_batch.trials.draw.rule import Given, Rule
 from r2h_batch.trials.trials_file import Labels, listed_with_ids
 from r2h_batch.types import Trials
-from r2h_batch.verdicts import ASKED_NAMES, SPLITS, UNTIL
+from r2h_batch.verdicts import ASKED_NAMES, MAY_ASK, SPLITS, UNTIL
 
 TRIALS = 500
 """Trials of a split in the published tables; more are the same rule run further."""
@@ -56,6 +56,9 @@ DECIDES = (
 """Fields of an object from which its other fields follow. The convex pieces are not here: a sweep
 makes them only where it needs them."""
 
+
+CERTIFIED_BY = ("pick", "received")
+"""What answers of certificates pass beside `CRITERIA`. Presented came later, and some of them fail it."""
 
 WITH_PEOPLE = "r2h-v1 or r2h-v2"
 """Named benchmarks whose receivers have bodies, for messages."""
@@ -79,8 +82,8 @@ class Benchmark:
         listed: trials of a file; None: the rule draws them.
         labels: what the owner of listed trials calls them; judges nothing, so the digest leaves it out.
         seed: 32 hexadecimal digits: the rule draws other trials. Empty: the published ones.
-        asks: criteria beside those of all benchmarks: none, or the first of `ASKED_NAMES`. With pick the object rests on the
-            table first; with received the person can take it in the end.
+        asks: criteria beside those of all benchmarks: one of `MAY_ASK`. With pick the object rests on the table first; with
+            presented the wanted part comes to the hand first; with received the person can take it in the end.
         certified: trials that were drawn again until they were known to have a whole way. Of another benchmark they say nothing.
     """
 
@@ -120,9 +123,9 @@ class Benchmark:
             raise ValueError(
                 "seed draws other trials, and these are listed; leave one of the two out"
             )
-        allowed = f"() or the first of {ASKED_NAMES}"
+        allowed = f"some of {ASKED_NAMES} in this order, received with pick"
         instance_of(tuple, allowed)("asks", self.asks)
-        if self.asks != ASKED_NAMES[: len(self.asks)]:
+        if self.asks not in MAY_ASK:
             raise ValueError(f"asks is {self.asks!r:.60}; it must be {allowed}")
         if "received" in self.asks and not self.has_bodies:
             raise ValueError(
@@ -178,10 +181,10 @@ class Benchmark:
 
     @cached_property
     def undrawn_digest(self) -> str:
-        """The digest of the same trials drawn once and judged by all criteria, with the objects as they lie in their own
+        """The digest of the same trials drawn once and judged by `CERTIFIED_BY`, with the objects as they lie in their own
         files: what certificates are for. It leaves out what a person is made of, which decides no draw."""
         own = tuple(o.who.own for o in self.objects)
-        plain = replace(self, objects=own, asks=ASKED_NAMES, certified=None)
+        plain = replace(self, objects=own, asks=CERTIFIED_BY, certified=None)
         return plain._digest_of(plain._asks, person="")
 
     @cached_property
@@ -230,6 +233,9 @@ class Benchmark:
         asks = f"asks {' '.join(self.asks)}\n" if self.asks else ""
         if "received" in self.asks:  # where it is held, by geometry
             asks += "received where it is held\n"
+        if "presented" in self.asks:
+            sharp = {o.name: o.sharp for o in self.objects if o.sharp}
+            asks += f"presented {json.dumps([PRESENTED_M, sharp], sort_keys=True)}\n"
         return asks
 
     def _digest_of(self, asks: str, *, person: str | None = None) -> str:
@@ -381,12 +387,13 @@ class Benchmark:
         Raises:
             ValueError: it is another word, or the benchmark does not ask for so much.
         """
-        asks = ASKED_NAMES[: 1 + UNTIL.index(one_of(*UNTIL)("stage", stage))]
-        if len(asks) > len(self.asks):
+        last = one_of(*UNTIL)("stage", stage) == UNTIL[-1]
+        needs = ("pick", "received") if last else ("pick",)
+        if not set(needs) <= set(self.asks):
             raise ValueError(
-                f"{self.name} asks for {', '.join(self.asks) or 'none of these'}; until {stage!r} needs {', '.join(asks)}"
+                f"{self.name} asks for {', '.join(self.asks) or 'none of these'}; until {stage!r} needs {', '.join(needs)}"
             )
-        return replace(self, asks=asks)
+        return replace(self, asks=tuple(a for a in self.asks if last or a != "received"))
 
     def with_people(self, people: People) -> Self:
         """The same benchmark with other receivers, and hands of theirs.

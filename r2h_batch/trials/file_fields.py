@@ -25,6 +25,7 @@ from r2h_batch.scene.objects import (
 )
 from r2h_batch.scene.robot_file import DEFAULT_ROBOT
 from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, VERB_WORDS
+from r2h_batch.verdicts import ASKED_NAMES
 
 BUILT_IN = "built-in"
 DEEPEST = 6
@@ -92,9 +93,17 @@ class ObjectEntry(_Entry):
         description=".npy beside this file: a part label for every face; else the groups of an OBJ or GLB are its parts",
     )
     part_names: Annotated[list[Name], Field(min_length=1, max_length=64)] | None = None
-    roles: dict[Name, Literal["function", "grasp", "wrap"]] | None = Field(
+    roles: dict[Name, Literal["function", "grasp", "wrap", "sharp"]] | None = Field(
         default=None,
-        description="part -> what it is for; else grasp in the receiver's region, function elsewhere",
+        description="part -> what it is for, or sharp: nothing that a hand should come to first; else grasp in the receiver's"
+        " region, function elsewhere",
+    )
+    up: (
+        Annotated[list[Annotated[float, Field(ge=-1e3, le=1e3)]], Field(min_length=3, max_length=3)]
+        | None
+    ) = Field(
+        default=None,
+        description="of an open vessel: the direction out of its opening, in the mesh's frame",
     )
     words: WordsEntry | None = None
     category: Literal[OBJECT_NAMES] | None = Field(  # type: ignore[valid-type]
@@ -181,6 +190,10 @@ class BenchmarkFile(_Entry):
     seed: Annotated[str, Field(pattern=f"^{SEED}$")] | None = Field(
         default=None,
         description="32 hexadecimal digits: other trials of the same rule; null: the published ones",
+    )
+    asks: list[Literal[ASKED_NAMES]] | None = Field(  # type: ignore[valid-type]
+        default=None,
+        description="criteria beside those of every benchmark; null: as the benchmark does, []: none",
     )
     thresholds: Limits = Thresholds()
     robot: FilePath = Field(

@@ -17,7 +17,7 @@ from r2h_batch.trials.choice import BenchmarkChoice, words_of
 from r2h_batch.trials.edit import edited
 from r2h_batch.trials.registry import BENCHMARK
 from r2h_batch.trials.run_files import placed
-from r2h_batch.verdicts import ASKED_NAMES, UNTIL
+from r2h_batch.verdicts import ASKED_NAMES, MAY_ASK
 
 IN_HEADER = ("receiver", "until")
 """Flags whose words run.json has elsewhere: in its configuration, in what its benchmark asks for."""
@@ -48,14 +48,12 @@ def benchmark_of_run(
             raise FileError(f"{where}: benchmark {printable(protocol)!r}; {known}")
         given = replace(given, benchmark=protocol)
     asked = tuple(header.get("asks", ()))
-    asks = [name for name in asked if name in ASKED_NAMES]
-    given = replace(
-        given,
-        receiver=header["configuration"].get("receiver", "hand"),
-        until=UNTIL[len(asks) - 1] if asks else "",
-    )
+    asks = tuple(name for name in asked if name in ASKED_NAMES)
+    given = replace(given, receiver=header["configuration"].get("receiver", "hand"), until="")
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
     benchmark = edited(given, pieces=pieces)
+    if asks in MAY_ASK:  # the draft of before asked for less
+        benchmark = replace(benchmark, asks=asks)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest

@@ -1,5 +1,5 @@
-"""Draft of benchmark r2h-v3: objects, people and hands of r2h-v2. The arm has to pick the object from the table first, and the
-person has to be able to take it in the end.
+"""Draft of benchmark r2h-v3: objects, people and hands of r2h-v2. The arm has to pick the object from the table first, the wanted
+part has to come to the hand first, and the person has to be able to take it in the end.
 
 Not frozen: trials, criteria and thresholds may change (docs/r2h_v3.md).
 """
@@ -16,7 +16,7 @@ from r2h_batch.verdicts import ASKED_NAMES
 
 @BENCHMARK("r2h-v3-draft")
 def r2h_v3_draft() -> Benchmark:
-    """r2h-v2 with Pick and Received, and trials of its own."""
+    """r2h-v2 with Pick, Presented and Received, and trials of its own."""
     rule = Rule("r2h-v3-draft", place_reaching, bodies=True)
     v2, known = named_benchmark("r2h-v2"), load_certified("r2h-v3-draft")
     return replace(v2, rule=rule, name="r2h-v3-draft", asks=ASKED_NAMES, certified=known)

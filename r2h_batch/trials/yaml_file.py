@@ -46,7 +46,7 @@ from r2h_batch.scene.objects import (
 )
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.robot_file import ROBOTS, load_robot, read_robot
-from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
+from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing, split_roles
 from r2h_batch.trials.benchmark import Benchmark
 from r2h_batch.trials.file_fields import (
     BUILT_IN,
@@ -121,7 +121,7 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         return replace(
             own, name=_name_of(Path(path)), objects=objects, hand_set=hand_set, thresholds=file.thresholds,
             workplace=_workplace(file, path, own), listed=listed, labels=labels, receiver=receiver, people=people,
-            seed=file.seed or "",
+            seed=file.seed or "", asks=own.asks if file.asks is None else tuple(file.asks),
         )  # fmt: skip
     except FileError:
         raise
@@ -288,9 +288,14 @@ def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
     if entry.grasps is not None:
         more["grasps"] = _grasps(folder, entry.grasps)
     known_roles = S0_ROLES.get(model.name) if entry.built_in else None
-    if entry.roles is not None and entry.roles != known_roles:
-        _check_names(model.name, "roles", entry.roles, model.part_names)
-        more["roles"] = dict(sorted(entry.roles.items()))
+    _check_names(model.name, "roles", entry.roles or (), model.part_names)
+    roles, sharp = split_roles(entry.roles)
+    if roles is not None and roles != known_roles:
+        more["roles"] = dict(sorted(roles.items()))
+    if sharp:
+        more["sharp"] = tuple(sorted({*model.sharp, *sharp}))
+    if entry.up is not None:
+        more["up"] = _direction(model.name, entry.up)
     if entry.words is not None:
         words = Thing(**{k: _tuples(v) for k, v in entry.words.model_dump().items()})
         if not entry.built_in or words != THINGS.get(model.name):
@@ -303,6 +308,16 @@ def _object(entry: ObjectEntry, folder: Path, pieces: bool) -> ObjectModel:
             )
         more["category"] = entry.category
     return replace(model, **more) if more else model
+
+
+def _direction(label: str, given: Sequence[float]) -> NDArray[np.float64]:
+    """The unit vector (3,) along a direction."""
+    length = float(np.linalg.norm(given))
+    if not length > 1e-6:
+        raise FileError(
+            f"object {printable(label)}: up is {list(given)}; it must point out of the opening, as [0, 0, 1] does"
+        )
+    return _frozen(np.array(given, np.float64) / length)
 
 
 def _tuples(value: Any) -> Any:

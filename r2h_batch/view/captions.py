@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from r2h_batch.base.table import Column, Table, document, notes_list, plain
-from r2h_batch.runs.explain import LEAST, PAIRS, headline
+from r2h_batch.runs.explain import LEAST, PAIRS, headline, presented_words
 from r2h_batch.verdicts import EVERY, UNITS, CriterionEntry
 from r2h_batch.view.drawing import MARKS, Drawing
 from r2h_batch.view.postures import Postures
@@ -118,6 +118,8 @@ def _facts(drawing: Drawing) -> list[str]:
     if row.get("width_m") is not None:
         width, opening = (f"{1e3 * row[k]:.1f} mm" for k in ("width_m", "opening_m"))
         lines.append(f"material between the pads {width}, opening of the pads {opening}")
+    if "passed_presented" not in row and (words := presented_words(row)):
+        lines.append(f"{words} (Presented: no part of the verdict)")
     if row.get("t_exec_s") is not None:
         lines.append(f"the arm reaches its goal after {row['t_exec_s']:.1f} s")
     if drawing.witness is not None:

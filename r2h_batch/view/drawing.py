@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from r2h_batch.runs.explain import LEAST, body_name
+from r2h_batch.runs.explain import LEAST, body_name, presented_words
 from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.view.mjcf import MARK, checked_pairs, spec_of, trajectory
 from r2h_batch.view.postures import Nearest
@@ -109,14 +109,16 @@ class Witness:
     """Marks that explain the failure.
 
     Two bodies that overlap or are nearest to each other. Of kind `unreachable` it is the line from
-    the gripper to a target that it does not reach, of kind `reach` the gap from object to ball.
+    the gripper to a target that it does not reach, of kind `reach` the gap from object to ball, of kind `presented` the gap from
+    the wanted part to the ball, or the line from what comes to the palm before it.
     """
 
     geoms: tuple[str, ...]  # names of the two collision geoms; none of a line alone
-    kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach` or `affordance`
+    kind: str  # of pair, as `CollidingPair` names it, `unreachable`, `reach`, `presented` or `affordance`
     distance_m: float  # negative: they overlap by that, or the target is that far away
     line: Array  # (2, 3) the nearest points, world, m
     least_m: float | None = None  # the stored margin, where it is about these two bodies
+    words: str = ""  # the caption; empty: it follows from the rest
     estimated: bool = (
         False  # the margin is to the hand as the planner sees it, the picture shows the true one
     )
@@ -124,6 +126,8 @@ class Witness:
     @property
     def caption(self) -> str:
         """The witness in one line: two bodies that overlap or their distance, or the remaining distance to a target."""
+        if self.words:
+            return self.words
         if self.kind == "unreachable":
             return f"the gripper stays {-1e3 * self.distance_m:.1f} mm from its target"
         if self.kind == "reach":
@@ -200,7 +204,10 @@ class Drawing:
         without a ball that would cover it."""
         if not fails:
             return ("region", "ball")
-        reach = self.stored.row["outcome"] == "reach"
+        row = self.stored.row
+        reach = row["outcome"] == "reach" or (
+            row["outcome"] == "presented" and row.get("presented_by") == "ball"
+        )
         return ("region", "ball", "witness") if reach else ("region", "witness")
 
     @property
@@ -271,7 +278,9 @@ class Drawing:
         if stored.moves:
             if self._met is not None:
                 return self._met[1]
-            return self._gap() if stored.row["outcome"] == "reach" else None
+            if failed == "presented":
+                return self._comes_first()
+            return self._gap("reach", "object/mesh_visual") if failed == "reach" else None
         if stored.unreachable:
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
@@ -371,20 +380,45 @@ class Drawing:
                 best = Witness(names, kind, least, line.reshape(2, 3))
         return best
 
-    def _gap(self) -> Witness:
-        """From the object's nearest point to the ball that it should meet."""
-        data, g = self.at(self.stored.target_q), int(self.model.geom("object/mesh_visual").id)
-        body, made = data.body(self.body_of(g)), self.surface(g)
-        corners = made.vertices @ body.xmat.reshape(3, 3).T + body.xpos
+    def _gap(self, criterion: str, geom: str) -> Witness:
+        """From the nearest point of a geom of the object to the ball that it should meet."""
+        data = self.at(self.stored.target_q)
         center, radius = data.site("ball").xpos.copy(), float(self.model.site("ball").size[0])
-        everywhere = np.broadcast_to(center, (len(made.faces), 3))
-        points = trimesh.triangles.closest_point(corners[made.faces], everywhere)
-        apart = np.linalg.norm(points - center, axis=1)
-        point, distance = points[apart.argmin()], float(apart.min())
+        point, distance = _nearest_point(self._triangles(geom), center)
         end = center + radius / distance * (point - center)
-        margin = self._stored_m("reach")
+        margin = self._stored_m(criterion)
         away = distance - radius if margin is None else -margin
-        return Witness((), "reach", away, np.stack([point, end]))
+        words = presented_words(self.stored.row) if criterion == "presented" else ""
+        return Witness((), criterion, away, np.stack([point, end]), words=words)
+
+    def _comes_first(self) -> Witness:
+        """What Presented fails by: the part of the gripper or of the object that is nearest to the palm, or the gap to the
+        ball."""
+        stored, words = self.stored, presented_words(self.stored.row)
+        if stored.row.get("presented_by") not in ("gripper", "sharp"):
+            region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)
+            return self._gap("presented", REGION if region >= 0 else "object/mesh_visual")
+        palm = self.at(stored.target_q).site("palm").xpos.copy()
+        away = self._stored_m("presented") or 0.0
+        if stored.row["presented_by"] == "sharp":
+            own = stored.object_model
+            T = stored.T_world_ee @ np.linalg.inv(stored.T_obj_ee_attached)
+            triangles = own.vertices.astype(np.float64)[own.faces[own.sharp_face]]
+            point, _ = _nearest_point(triangles @ T[:3, :3].T + T[:3, 3], palm)
+            return Witness((), "presented", away, np.stack([point, palm]), words=words)
+        names = [self.model.geom(g).name for g in self._collision_geoms()["gripper"]]
+        found = {name: _nearest_point(self._triangles(name), palm) for name in names}
+        first = min(found, key=lambda name: found[name][1])
+        line = np.stack([found[first][0], palm])
+        return Witness((first,), "presented", away, line, words=words)
+
+    def _triangles(self, geom: str) -> Array:
+        """The triangles (T, 3, 3) of a geom with the arm at the target, in the world."""
+        g = int(self.model.geom(geom).id)
+        body, made = self.at(self.stored.target_q).body(self.body_of(g)), self.surface(g)
+        corners = made.vertices @ body.xmat.reshape(3, 3).T + body.xpos
+        triangles: Array = corners[made.faces]
+        return triangles
 
     def surface(self, geom: int) -> Surface:
         """A geom of the model in the frame of its body."""
@@ -485,6 +519,8 @@ class Drawing:
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
                 else:
                     surface("witness", name, RED)
+            if witness.kind == "presented" and row.get("presented_by") == "sharp":
+                found.append(Mark("witness", RED, points=witness.line[:1], radius_m=0.015))
             radius_m = WIDE_M if witness.kind == "unreachable" else LINE_M
             found.append(
                 Mark("witness", RED, points=witness.line, radius_m=radius_m, text=witness.caption)
@@ -762,3 +798,10 @@ def _geom_name(geom: str) -> str:
     if owner == "gripper":
         return f"gripper {body_name(part)}"
     return f"{owner} {re.sub(r'(?<=[a-z])(?=[0-9])', ' ', part).replace('_', ' ')}"
+
+
+def _nearest_point(triangles: Array, x: Array) -> tuple[Array, float]:
+    """The point (3,) of triangles (T, 3, 3) that is nearest to x, and its distance."""
+    points = trimesh.triangles.closest_point(triangles, np.broadcast_to(x, (len(triangles), 3)))
+    apart = np.linalg.norm(points - x, axis=1)
+    return points[apart.argmin()], float(apart.min())

@@ -16,9 +16,9 @@ from r2h_batch.kernels.ik.step import solve_ik_kernel
 
 TWO_FILES = """
 from r2h_batch.base.launch import load
-from r2h_batch.kernels.judge.presented import region_presented
+from r2h_batch.kernels.judge.presented import present
 from r2h_batch.kernels.judge.verdict import judge_criterion
-load([region_presented, judge_criterion], "cpu")
+load([present, judge_criterion], "cpu")
 """
 
 

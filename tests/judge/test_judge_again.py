@@ -15,7 +15,7 @@ from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
 from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.judge import metrics, plan
+from r2h_batch.judge import plan
 from r2h_batch.judge.motion import time_law
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import oracle
@@ -67,8 +67,13 @@ def test_a_row_of_each_split_is_right_in_all_that_it_says():
 
 def further(monkeypatch: pytest.MonkeyPatch) -> None:
     """Reach measures 2 % less."""
-    own = metrics.reach_distance
-    monkeypatch.setattr(metrics, "reach_distance", lambda *a: 0.98 * own(*a))
+    own = stages.reached
+
+    def nearer(*a: Any, **k: Any) -> Any:
+        found = own(*a, **k)
+        return replace(found, distance_m=0.98 * found.distance_m)
+
+    monkeypatch.setattr(stages, "reached", nearer)
 
 
 def freer(monkeypatch: pytest.MonkeyPatch) -> None:

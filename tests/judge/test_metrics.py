@@ -20,6 +20,7 @@ from r2h_batch.judge.distance import bound_with_slack, hand_distance
 from r2h_batch.judge.grasp import CUT_CAP_M, Grasp, attach, close_gripper, open_clearance, region_distance, squeezed
 from r2h_batch.judge.motion.execute import Executed, execute
 from r2h_batch.judge.motion.time_law import time_path
+from r2h_batch.judge.reach import reached
 from r2h_batch.judge.scores import verdict
 from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
@@ -44,7 +45,7 @@ def as_planned(problems: Problems) -> Executed:
     return execute(default_evaluator().scene, problems.body_poses, plan.path, plan.length, motion, config)
 
 
-STAGES = ("clearance_m", "goal_reached", "moves", "reason", "nearest")
+STAGES = ("clearance_m", "goal_reached", "moves", "reason", "nearest", "reached")
 
 
 def evidence(active: torch.Tensor, safe_margin_m: float = 0.0, **found: Any) -> Any:
@@ -66,7 +67,7 @@ def verdict_of(number: torch.Tensor, evaluated: torch.Tensor) -> dict[str, torch
     """The verdict of rows with this margin in every criterion."""
     lengths = dict.fromkeys(("width_m", "opening_m", "shift_m"), number)
     held = SimpleNamespace(active=evaluated, grasp=SimpleNamespace(**lengths))
-    return verdict([metrics.Criterion(number, evaluated) for _ in CRITERIA], held, None)  # type: ignore[arg-type]
+    return verdict(REGISTRY, [metrics.Criterion(number, evaluated) for _ in CRITERIA], held, None)  # type: ignore[arg-type]
 
 
 # --- the rule ------------------------------------------------------------------------------------------------------
@@ -159,7 +160,8 @@ def test_reach_passes_up_to_the_balls_radius(gap, passes):
     top = float(scene.objects[0].vertices[:, 0].max())
     corner = scene.objects[0].vertices[scene.objects[0].vertices[:, 0].argmax()]
     center = torch.tensor([[top + gap, float(corner[1]), float(corner[2])]])
-    c = metrics.reach(evidence(torch.ones(1, dtype=torch.bool), ball=center, objects=torch.zeros(1, dtype=torch.int32)))
+    found = reached(scene, torch.zeros(1, dtype=torch.int32), center)
+    c = metrics.reach(evidence(torch.ones(1, dtype=torch.bool), reached=found))
     assert bool(c.margin[0] >= 0) is passes
 
 

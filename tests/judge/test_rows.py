@@ -16,6 +16,7 @@ from r2h_batch.judge.grasp import attach, close_gripper, squeezed
 from r2h_batch.judge.metrics import Criterion
 from r2h_batch.judge.scores import verdict
 from r2h_batch.types import Outcome
+from r2h_batch.verdicts import REGISTRY
 
 N = 512
 
@@ -96,7 +97,7 @@ def test_the_verdict_is_the_first_criterion_that_was_evaluated_and_failed(simula
     active, valid = (torch.rand(N, generator=g) < 0.8 for _ in range(2))
     lengths = {k: torch.rand(N, generator=g) for k in ("width_m", "opening_m", "shift_m")}
     held = SimpleNamespace(active=active, grasp=SimpleNamespace(**lengths))
-    found = verdict(criteria, held, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
+    found = verdict(REGISTRY[:5], criteria, held, lengths["width_m"], valid if simulated else None)  # type: ignore[arg-type]
     for i in each(range(N)):
         judged = bool(valid[i]) or not simulated
         asked = [judged and bool(c.evaluated[i]) for c in criteria]

@@ -8,7 +8,7 @@ import warp as wp
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch
-from r2h_batch.judge.metrics import reach_distance
+from r2h_batch.judge.reach import reached
 from r2h_batch.kernels.geometry.mesh_distance import nearest_face
 from r2h_batch.scene.grasp_tables import surface_tables
 from r2h_batch.scene.scene import Scene
@@ -64,7 +64,7 @@ def test_reach_measures_the_solid(scene: Scene, index: int) -> None:
     model = scene.objects[index]
     solid = trimesh.Trimesh(model.vertices, model.faces, process=False)
     x = points_about(solid, np.random.default_rng(index))
-    found = reach_distance(scene, torch.full((len(x),), index, dtype=torch.int32), torch.from_numpy(x)).numpy()
+    found = reached(scene, torch.full((len(x),), index, dtype=torch.int32), torch.from_numpy(x)).distance_m.numpy()
 
     expected = signed_distances(x.astype(np.float64), model.vertices[model.faces].astype(np.float64))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-7)
@@ -82,7 +82,7 @@ def test_reach_measures_the_solid(scene: Scene, index: int) -> None:
 
 def test_what_has_no_nearest_point_is_at_the_cap(scene: Scene) -> None:
     x = torch.tensor([[np.nan, 0.0, 0.0], [np.inf, 0.0, 0.0], [1e30, 0.0, 0.0], [2e6, 0.0, 0.0]])
-    found = reach_distance(scene, torch.zeros(len(x), dtype=torch.int32), x)
+    found = reached(scene, torch.zeros(len(x), dtype=torch.int32), x).distance_m
     assert (found == 1e6).all()
 
 

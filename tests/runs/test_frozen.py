@@ -5,10 +5,13 @@ import json
 import shutil
 from pathlib import Path
 
+import numpy as np
 import pytest
+from made_runs import write_run
 
 from r2h_batch.__main__ import main
-from r2h_batch.runs.store import load_run
+from r2h_batch.report.table import table_of
+from r2h_batch.runs.store import join, load_run
 
 FROZEN = Path(__file__).resolve().parents[1] / "frozen"
 PLUGGED = "plugged"
@@ -53,6 +56,25 @@ def test_tables_pages_and_reasons_are_printed(run, tmp_path, capsys):
         expected = UNFINISHED.get(run.name, 0) if line[0] == "report" else 0
         assert code == expected, f"{' '.join(line)}: {said.err}"
         assert said.out or page.exists()
+
+
+def test_what_was_called_presented_is_told_apart_and_never_mixed(tmp_path, capsys):
+    """The column `presented` of these rows asked for something else."""
+    old, static = "presented_before_0_4", load_run(FROZEN / "static")
+    new = write_run(tmp_path / "new", {"newer": np.zeros(16, int)}, 8, 8)
+    rows = table_of(join([static, new])).rows
+    own = {m: {k for r in rows if r.method == m for k in r.shares} for m in (*static.methods, "newer")}
+    for method in static.methods:
+        assert old in own[method] and not {"presented", "upright"} & own[method]
+    assert old not in own["newer"] and {"presented", "upright"} <= own["newer"]
+    then = json.loads((FROZEN / "static" / "results.json").read_text())["rows"]
+    mine = {(r.split, r.method): r.shares.get(old) for r in table_of(static).rows}
+    assert {(r["split"], r["method"]): r["presented"] for r in then} == {
+        k: None if rate is None else rate.percent for k, rate in mine.items()
+    }
+    assert main(["report", str(FROZEN / "static")]) == 0
+    said = capsys.readouterr().out
+    assert "| Presented, before 0.4 |" in said and "| Presented |" not in said
 
 
 @pytest.mark.parametrize("run", RUNS, indirect=True)

@@ -44,14 +44,15 @@ class FakeEvaluator:
         scores = make_scores(trials, outcome)
         ids = trials.trial_id  # make_scores counts rows; a verdict may depend on the trial only
         t_exec_s = torch.where(torch.isnan(scores.t_exec_s), torch.nan, 8.0 + 0.001 * ids).float()
-        seen = ~torch.isnan(scores.presented_angle_deg)
-        angle = torch.where(seen, torch.where(ids % 4 > 0, 20.0, 120.0), torch.nan)
+        margin = torch.where(ids % 4 > 0, 0.02, -0.03)
+        tilt = torch.where(ids % 4 > 1, 20.0, 120.0)
         return replace(
             scores,
             t_exec_s=t_exec_s,
             borderline=ids % 7 == 0,
-            presented=seen & (ids % 4 > 0),
-            presented_angle_deg=angle.float(),
+            presented_margin_m=torch.where(scores.presented_margin_m.isnan(), torch.nan, margin),
+            presented_by=torch.where(scores.presented_by < 0, -1, ids % 3).to(torch.int8),
+            tilt_deg=torch.where(scores.tilt_deg.isnan(), torch.nan, tilt),
         )
 
 

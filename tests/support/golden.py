@@ -14,6 +14,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -183,7 +184,7 @@ def _candidates() -> dict[str, dict[str, str]]:
     scores = default_evaluator().score(
         T_obj_ee, T_world_ee, load_benchmark("r2h-v0").trials_with_ids(ids), stages="pose"
     )
-    names = [n for n in scores.__dataclass_fields__ if n not in NOT_COMPARED]
+    names = [f.name for f in fields(scores) if f.name not in NOT_COMPARED]
     parts: list[Any] = []
     for name in sorted(names):
         values = getattr(scores, name).numpy()

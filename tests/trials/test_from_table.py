@@ -1,6 +1,7 @@
 """Draft r2h-v3: r2h-v2 with Pick. What Pick adds, what it leaves as it is, and the same bits however trials are asked."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,11 +130,11 @@ def folder(tmp_path_factory):
 @pytest.mark.check
 def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(draft):
     v2 = load_benchmark("r2h-v2")
-    assert v2.asks == () and draft.asks == ("pick", "received")
+    assert v2.asks == () and draft.asks == ("pick", "presented", "received")
     assert replace(draft, asks=()).digest != draft.digest
     assert replace(v2, asks=("pick",)).digest != v2.digest == replace(v2, asks=()).digest
     for asks in each((("plan",), ("pick", "pick"), ("",), ("received",), ("pick", "received", "taken"))):
-        with pytest.raises(ValueError, match=r"asks is .* must be \(\) or the first of \('pick', "):
+        with pytest.raises(ValueError, match=r"asks is .* must be some of \('pick', "):
             replace(v2, asks=asks)
     others = Evaluator(v2, KINEMATIC)
     trials = v2.trials(1)
@@ -231,7 +232,7 @@ def test_other_code_judges_the_rows_with_their_carry_again(folder):
 
 @pytest.mark.check
 def test_the_first_failure_is_stability_then_pick_then_the_others():
-    assert [entry.name for entry in IN_ORDER] == ["stability", "pick", *CRITERIA[1:], "received"]
+    assert [entry.name for entry in IN_ORDER] == ["stability", "pick", *CRITERIA[1:], "presented", "received"]
 
     class Held:
         active = torch.ones(3, dtype=torch.bool)
@@ -245,7 +246,7 @@ def test_the_first_failure_is_stability_then_pick_then_the_others():
         "pick": torch.tensor([-1.0, -1.0, 1.0]),
         "plan": torch.tensor([-1.0, -1.0, -1.0]),
     }
-    found = verdict([metrics.Criterion(numbers[e.name], Held.active) for e in EVERY], Held, None)
+    found = verdict(EVERY, [metrics.Criterion(numbers[e.name], Held.active) for e in EVERY], Held, None)
     assert [Outcome(k).name for k in found["outcome"].tolist()] == ["STABILITY", "PICK", "PLAN"]
 
 
@@ -263,7 +264,7 @@ def test_rows_have_the_same_bits_alone_and_in_any_order(judge, asked, scores):
 
 def test_received_is_what_reception_says_of_what_passed_all_else(scores, whole):
     rows = torch.nonzero(scores.success)[:, 0]
-    n = len(CRITERIA) + 1
+    n = len(CRITERIA) + 2
     for name in each(("passed", "evaluated", "margin", "margin_kind")):
         mine, theirs = (getattr(x, name)[:, :n].float().nan_to_num(-9) for x in (whole, scores))
         assert torch.equal(mine, theirs), name
@@ -324,10 +325,10 @@ def test_what_nobody_can_take_fails_received_and_says_why(gives, asked, whole, m
 
 
 def test_a_benchmark_may_end_before_the_giving(draft, presents, scores):
-    assert presents.asks == ("pick",) and draft.until("received").asks == ("pick", "received")
+    assert presents.asks == ("pick", "presented") and draft.until("received").asks == draft.asks
     assert draft.until("received").digest == draft.digest != presents.digest
     assert torch.equal(presents.trials(3).T_world_hand, draft.trials(3).T_world_hand)
-    assert scores.criteria == (*CRITERIA, "pick") and not hasattr(scores, "receives")
+    assert scores.criteria == (*CRITERIA, "pick", "presented") and not hasattr(scores, "receives")
     with pytest.raises(ValueError, match="r2h-v2 asks for none of these; until 'present' needs pick"):
         load_benchmark("r2h-v2").until("present")
     with pytest.raises(ValueError, match="until 'received' needs pick, received"):
@@ -345,10 +346,10 @@ def test_the_pose_stage_asks_nobody_to_take_anything(gives, asked):
 
 def test_a_sweep_until_present_says_so_and_lacks_the_columns(folder):
     run, whole = load_run(folder / "presents"), load_run(folder / "whole")
-    assert run.asks == ("pick",) and whole.asks == ("pick", "received")
+    assert run.asks == ("pick", "presented") and whole.asks == ("pick", "presented", "received")
     names = set(run.trials(run.methods[0]).column_names)
     assert "passed_pick" in names and not {"passed_received", "received_reason"} & names
-    assert benchmark_of_run(run.header, "x").asks == ("pick",)
+    assert benchmark_of_run(run.header, "x").asks == run.asks
     again = reevaluate(run, run.methods[0], 8, Judge(run))
     assert again.equal == 8 and not again.differences
     assert "F_recv" not in render(table_of(run), "md")
@@ -358,7 +359,7 @@ def test_tables_and_words_show_received(folder):
     run = load_run(folder / "whole")
     table = table_of(run)
     shown = render(table, "md").replace("\n  ", " ")
-    assert "F_recv" in shown and "Safe, Received" in shown
+    assert "F_pres" in shown and "F_recv" in shown and "Safe, Presented, Received" in " ".join(shown.split())
     for fmt in each(("csv", "json", "latex")):
         assert "rec" in render(table, fmt)
     rows = [r for m in run.methods for r in run.trials(m).to_pylist()]
@@ -371,11 +372,15 @@ def test_tables_and_words_show_received(folder):
 
 
 def test_thresholds_of_what_was_given_can_only_be_stricter(folder):
-    run = load_run(folder / "whole")
-    assert rethreshold(run, reach_radius_m=[0.05])
+    before = load_run(Path(__file__).parents[1] / "frozen" / "draft")  # of 0.3: it did not ask for Presented
+    assert rethreshold(before, reach_radius_m=[0.05])
     with pytest.raises(ValueError, match="these rows allow stricter thresholds only, or sweep with --until present"):
-        rethreshold(run, reach_radius_m=[0.9])
-    assert rethreshold(load_run(folder / "presents"), reach_radius_m=[0.9])
+        rethreshold(before, reach_radius_m=[0.9])
+    for name in ("whole", "presents"):
+        run = load_run(folder / name)
+        assert rethreshold(run, safe_margin_m=[0.02]) and rethreshold(run, reach_radius_m=[0.1])
+        with pytest.raises(ValueError, match="Presented has it too"):
+            rethreshold(run, reach_radius_m=[0.05])
 
 
 def test_the_pose_stage_judges_pick_at_the_grasp_alone(judge):
@@ -455,7 +460,7 @@ def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
 
 def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thread(folder):
     whole, parts = (load_run(folder / name) for name in ("whole", "parts"))
-    asks = ["pick", "received"]
+    asks = ["pick", "presented", "received"]
     assert list(whole.asks) == asks == read_json(folder / "whole" / "run.json", most=1 << 24)["asks"]
     for method in each(whole.methods):
         assert whole.digest(method) == parts.digest(method)
@@ -492,7 +497,7 @@ def test_tables_and_words_show_pick(folder):
     for fmt in each(("csv", "json", "latex")):
         assert "pick" in render(table, fmt)
     assert "F_pick" in object_lines(run)
-    points = rethreshold(run, reach_radius_m=[0.05, 0.1])
+    points = rethreshold(run, safe_margin_m=[0.0, 0.02])
     assert "F_pick" in render_points(points, run.methods)
     rows = [r for m in run.methods for r in run.trials(m).to_pylist() if r["outcome"] == "pick"]
     for row in each(rows):

@@ -18,7 +18,7 @@ from torch.autograd.function import once_differentiable
 from r2h_batch.base import se3, twist
 from r2h_batch.base.launch.threads import one_torch_thread
 from r2h_batch.types import Scores, Trials
-from r2h_batch.verdicts import EVERY, UNITS
+from r2h_batch.verdicts import UNITS
 
 STEP_M, STEP_RAD = 3e-3, 3e-2
 """Half the length of a difference [choice]: a step of gradient ascent is about as long (docs/training_loop.md)."""
@@ -110,7 +110,7 @@ def _slopes(
     change = (margin[:, :, 0] - margin[:, :, 1]).nan_to_num(nan=0.0, posinf=0.0, neginf=0.0)
     total = torch.zeros((n, asking, 6), dtype=torch.float32, device=device)
     for c in range(change.shape[-1]):  # in a fixed order: the same bits at any batch size
-        worth_m = UNITS[EVERY[c].unit].worth_m
+        worth_m = UNITS[scores.entries[c].unit].worth_m
         most = 2 * half * STEEPEST / worth_m
         slope = torch.minimum(torch.maximum(change[..., c], -most), most)
         total = total + slope * gradient[:, c, None, None]

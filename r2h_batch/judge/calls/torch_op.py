@@ -13,8 +13,8 @@ from torch import Tensor
 from r2h_batch.judge.calls.gradients import by_differences
 from r2h_batch.judge.inputs import Stages
 from r2h_batch.kernels.plan.codes import WAYPOINTS
-from r2h_batch.types import CRITERIA, GivenScores, PickedScores, Scores, Trials
-from r2h_batch.verdicts import ASKED_NAMES
+from r2h_batch.types import GivenScores, PickedScores, Scores, Trials
+from r2h_batch.verdicts import MAY_ASK, criteria_of
 
 
 class Scorer(Protocol):
@@ -33,10 +33,10 @@ _scorers: "WeakValueDictionary[int, Scorer]" = WeakValueDictionary()
 """An operator's arguments are tensors and numbers: this is how it finds its evaluator again."""
 MOST_JOINTS = 16
 KINDS = tuple(
-    GivenScores if "received" in ASKED_NAMES[:n] else PickedScores if n else Scores
-    for n in range(len(ASKED_NAMES) + 1)
+    GivenScores if "received" in asks else PickedScores if "pick" in asks else Scores
+    for asks in MAY_ASK
 )
-"""What `Evaluator.score` returns where a benchmark asks for the first n of `ASKED_NAMES`."""
+"""What `Evaluator.score` returns where a benchmark asks for each of `MAY_ASK`."""
 
 PATH_WIDTH = {"pose": 0, "all": WAYPOINTS}
 """Width of `Scores.path`."""
@@ -58,7 +58,7 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "margin": (torch.float32, (COLUMNS,)),
     "margin_kind": (torch.int8, (COLUMNS,)),
     "borderline": (torch.bool, ()),
-    "presented": (torch.bool, ()),
+    "presented_by": (torch.int8, ()),
     "plan_reason": (torch.int8, ()),
     "plan_pair": (torch.int8, ()),
     "witness_part": (torch.int32, (2,)),
@@ -75,15 +75,15 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
 
 def register(scorer: Scorer) -> int:
     """The number under which the operator finds this scorer for as long as it lives; tracing, which
-    may not look it up, reads from it the robot's joints and how many criteria the benchmark asks for."""
-    number = next(_numbers) * len(KINDS) + len(scorer.scene.benchmark.asks)
+    may not look it up, reads from it the robot's joints and which criteria the benchmark asks for."""
+    number = next(_numbers) * len(KINDS) + MAY_ASK.index(scorer.scene.benchmark.asks)
     number = number * MOST_JOINTS + len(scorer.scene.robot.joints)
     _scorers[number] = scorer
     return number
 
 
 def _asks(evaluator: int) -> int:
-    """How many criteria its benchmark asks for."""
+    """Place in `MAY_ASK` of what its benchmark asks for."""
     return evaluator // MOST_JOINTS % len(KINDS)
 
 
@@ -113,7 +113,7 @@ def score_op(
 def _(T_obj_ee: Tensor, *others: Any) -> list[Tensor]:
     out, (evaluator, stages) = [], others[-2:]
     sizes = {WIDTH: PATH_WIDTH[stages], JOINTS: evaluator % MOST_JOINTS}
-    sizes[COLUMNS] = len(CRITERIA) + _asks(evaluator)
+    sizes[COLUMNS] = len(criteria_of(MAY_ASK[_asks(evaluator)]))
     for name in RETURNED[_asks(evaluator)]:
         dtype, shape = _SHAPES.get(name, (torch.float32, ()))
         row = [sizes.get(n, n) for n in shape]

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from r2h_batch.config import BORDERLINE_M
+from r2h_batch.config import BORDERLINE_M, UPRIGHT_DEG
 from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.runs import columns
 from r2h_batch.verdicts import ASKED, REGISTRY, CriterionEntry, Outcome
 
 
@@ -53,8 +54,21 @@ def _time(heading: str, caption: str) -> Share:
     return Share(heading, caption, unit="s", higher=False)
 
 
+def _of_successes(rows: pa.Table, passes: pa.ChunkedArray) -> pa.ChunkedArray:
+    success = pc.equal(rows["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
+    return pc.if_else(success, passes, None)
+
+
 def _presented(rows: pa.Table) -> pa.ChunkedArray:
-    return rows["presented"]
+    return _of_successes(rows, pc.greater_equal(rows["presented_margin_m"], 0))
+
+
+def _upright(rows: pa.Table) -> pa.ChunkedArray:
+    return _of_successes(rows, pc.less_equal(rows["tilt_deg"], UPRIGHT_DEG))
+
+
+def _presented_before(rows: pa.Table) -> pa.ChunkedArray:
+    return rows[columns.PRESENTED_BEFORE]
 
 
 def _body_met(rows: pa.Table) -> pa.ChunkedArray:
@@ -63,12 +77,12 @@ def _body_met(rows: pa.Table) -> pa.ChunkedArray:
 
 def _through(rows: pa.Table) -> pa.ChunkedArray:
     """By more than float32's doubt."""
-    success = pc.equal(rows["outcome"].cast(pa.string()), Outcome.SUCCESS.name.lower())
-    return pc.if_else(success, pc.less(rows["margin_plan_m"], -BORDERLINE_M), None)
+    return _of_successes(rows, pc.less(rows["margin_plan_m"], -BORDERLINE_M))
 
 
 THROUGH = "through"
 PICK = "pick"
+PRESENTED, UPRIGHT, PRESENTED_BEFORE = "presented", "upright", "presented_before_0_4"
 
 _OURS = (
     ("sr", Share("SR", "Trials that succeed.", outcomes=("success",), higher=True)),
@@ -84,7 +98,35 @@ _OURS = (
         ),
     ),
     ("missing", Share("missing", "Trials without an answer.", outcomes=("missing",), higher=False)),
-    ("presented", Share("Presented", "Presented (not in SR).", ("presented",), _presented)),
+    (
+        PRESENTED,
+        Share(
+            "Presented",
+            "Successes whose wanted part comes to the hand first, before gripper and sharp parts (not in SR).",
+            ("outcome", "presented_margin_m"),
+            _presented,
+        ),
+    ),
+    (
+        UPRIGHT,
+        Share(
+            "Upright",
+            f"Successes with an open vessel (cup, bowl, wineglass) whose opening is within {UPRIGHT_DEG:g} degrees of up (not in"
+            " SR).",
+            ("outcome", "tilt_deg"),
+            _upright,
+        ),
+    ),
+    (
+        PRESENTED_BEFORE,
+        Share(
+            "Presented, before 0.4",
+            "Trials of S1, failed ones too, whose region faces the palm within 90 degrees, seen from the TCP, and in reach (not"
+            " in SR).",
+            (columns.PRESENTED_BEFORE,),
+            _presented_before,
+        ),
+    ),
     (
         "body_met",
         Share(

@@ -117,6 +117,11 @@ def rethreshold(
             flag = f"--{key.removesuffix('_m').replace('_', '-')} {bad[0]:g}"
             allowed = f"allowed is 0 to {high:g}: sweep again"
             raise ValueError(f"{flag} cannot be rescored exactly; {allowed}")
+    if "presented" in run.asks and (other := [v for v in axes[0] if v != base["reach_radius_m"]]):
+        raise ValueError(
+            f"--reach-radius {other[0]:g} cannot be rescored exactly: Presented has it too, and these rows do not store how far"
+            " the receiver's part is in the ball; sweep again, or change the other thresholds"
+        )
     grid = list(product(*axes))
     if len(grid) > MAX_POINTS:
         words = f"at most {MAX_POINTS} are allowed"

@@ -24,7 +24,7 @@ from r2h_batch.scene.families.family import (
 )
 from r2h_batch.scene.families.remesh import Surface, heights, imprint, without_slivers
 from r2h_batch.scene.families.shapes import Parts
-from r2h_batch.scene.objects import ObjectModel, build_object
+from r2h_batch.scene.objects import ObjectModel, build_object, up_of
 
 SHIPPED, TRAINING = 0, 1
 """Series of the test instances in assets/families, and of those that predictors learn from."""
@@ -231,11 +231,17 @@ def model_of(instance: Instance) -> ObjectModel:
         mass=instance.mass, instruction=family.instruction, face_part=instance.face_part, part_names=family.parts,
     )  # fmt: skip
     check_surface(family, instance.name, built.mesh)
+    return with_family(replace(built, com=instance.com, inertia=instance.inertia), family)
+
+
+def with_family(model: ObjectModel, family: Family) -> ObjectModel:
+    """The object with what its family says of all its instances.
+
+    Args:
+        model: an instance.
+        family: whose instance.
+    """
     return replace(
-        built,
-        com=instance.com,
-        inertia=instance.inertia,
-        words=family.words,
-        roles=family.roles,
-        category=family.category,
-    )
+        model, words=family.words, roles=family.roles, category=family.category, sharp=family.sharp,
+        up=up_of(model, family.vessel),
+    )  # fmt: skip

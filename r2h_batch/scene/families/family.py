@@ -21,7 +21,7 @@ from r2h_batch.base import rng
 from r2h_batch.base.errors import UserError, nearest
 from r2h_batch.plugins import Registry
 from r2h_batch.scene.objects import OBJECT_NAMES
-from r2h_batch.scene.vocabulary import S0_ROLES, THINGS, Thing
+from r2h_batch.scene.vocabulary import S0_ROLES, SHARP, THINGS, VESSELS, Thing, split_roles
 from r2h_batch.verdicts import SPLITS
 
 if TYPE_CHECKING:
@@ -113,6 +113,10 @@ class Family:
     """how people ask for it"""
     roles: Mapping[str, str] | None = None
     """part -> function, grasp or wrap: what people take it by where there is no receiver's region"""
+    sharp: tuple[str, ...] = ()
+    """parts that a hand should not come to first"""
+    vessel: tuple[str, str] | None = None
+    """of an open vessel: its lowest part, and the one around its opening"""
 
     def __reduce__(self) -> tuple[Any, ...]:
         """By its generator's name, which stands for it (`family`): another process imports the same one."""
@@ -159,6 +163,7 @@ def family(
     take: str = "",
     words: Thing | None = None,
     roles: Mapping[str, str] | None = None,
+    vessel: tuple[str, str] | None = None,
     listed: bool = True,
 ) -> Callable[[Make], Family]:
     """A decorator: the generator below it is registered as a family, and its name stands for that.
@@ -171,7 +176,9 @@ def family(
         receiver: parts that the receiver takes; of S1 alone.
         take: those parts in words.
         words: how people ask for it; None: those of the built-in object of this name, else the names of category and parts.
-        roles: as `Family.roles`; None: those of the built-in object of this name.
+        roles: part -> function, grasp, wrap, or sharp (`Family.roles`, `Family.sharp`); None: those of the built-in object of
+            this name.
+        vessel: as `Family.vessel`; None: that of the built-in object of this name.
         listed: False: lists and `families:*` leave it out. `families:package.module:NAME` draws it.
 
     Raises:
@@ -190,7 +197,7 @@ def family(
         raise FamilyError(
             f"family {category}: split is {split!r} with receiver {receiver}; S0 has no receiver's parts, S1 has some"
         )
-    if unknown := [p for p in (*receiver, *(roles or {})) if p not in parts]:
+    if unknown := [p for p in (*receiver, *(roles or {}), *(vessel or ())) if p not in parts]:
         raise FamilyError(
             f"family {category}: no part {unknown[0]!r}; parts are {', '.join(parts)}"
         )
@@ -204,8 +211,11 @@ def family(
         words = Thing((category.replace("_", " "),), labels, {"use": next(iter(labels))})
 
     def registered(make: Make) -> Family:
-        own = S0_ROLES.get(category) if roles is None else roles
-        made = Family(category, split, parts, make, rests, receiver, take, words, own)
+        own, sharp = split_roles(roles)
+        if roles is None:
+            own, sharp = S0_ROLES.get(category), SHARP.get(category, ())
+        opens = VESSELS.get(category) if vessel is None else vessel
+        made = Family(category, split, parts, make, rests, receiver, take, words, own, sharp, opens)
         if listed:
             FAMILIES.add(category, made)
         return made

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import replace
 from functools import cache
 
 from r2h_batch.base.io.cache import code_digest, is_cached
-from r2h_batch.scene.families.draw import draw_instance, model_of
+from r2h_batch.scene.families.draw import draw_instance, model_of, with_family
 from r2h_batch.scene.families.family import Family
 from r2h_batch.scene.mesh_import import cache as built
 from r2h_batch.scene.objects import ObjectModel, kept_object
@@ -30,8 +29,7 @@ def kept_instance(
 
     if not is_kept(family):
         return drawn()
-    found = kept_object(_key(family, series, index, standing), drawn)
-    return replace(found, words=family.words, roles=family.roles, category=family.category)
+    return with_family(kept_object(_key(family, series, index, standing), drawn), family)
 
 
 def is_kept(family: Family) -> bool:

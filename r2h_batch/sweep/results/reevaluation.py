@@ -52,7 +52,12 @@ MOST_OTHER_CHOICES = 0.1
 """On another machine, choices may differ in this share of rows: between two grasps of nearly the same
 cost, or two places that are nearly as near. Answers of a different method differ in nearly all rows."""
 
-CHOICES = ("answer", "nearest_pair", *(n for n in DETAIL_SCHEMA.names if n.startswith("witness_")))
+CHOICES = (
+    "answer",
+    "nearest_pair",
+    "presented_by",
+    *(n for n in DETAIL_SCHEMA.names if n.startswith("witness_")),
+)
 
 
 @dataclass(frozen=True)

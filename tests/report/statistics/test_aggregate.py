@@ -12,7 +12,8 @@ from scipy import stats
 from r2h_batch.report.statistics import aggregate, breakdown
 from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.tally import Tally, tally
-from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.columns import schema_of_kind
+from r2h_batch.runs.rows import MISSING, OUTCOME_NAMES
 from r2h_batch.verdicts import ELSEWHERE, EVERY, NO_LONGER, REGISTRY, SPLITS, Outcome
 
 
@@ -26,7 +27,7 @@ def table_of(outcome, split=None, objects=None, t_plan_s=None):
         "split": [SPLITS[i] for i in split],
         "outcome": [(*OUTCOME_NAMES, "odd")[i] for i in outcome],
     }
-    columns = {field.name: pa.nulls(n, field.type) for field in TRIAL_SCHEMA}
+    columns = {field.name: pa.nulls(n, field.type) for field in schema_of_kind("trials", unread=True)}
     columns |= {name: pa.array(column, pa.string()).dictionary_encode() for name, column in words.items()}
     if t_plan_s is not None:
         columns["t_plan_s"] = pa.array(t_plan_s, pa.float32())

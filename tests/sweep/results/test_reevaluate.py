@@ -223,7 +223,7 @@ CHANGES = {
     "body_m": ("trials", lambda row: row | {"body_m": 0.01}),
     "width_m": ("trials", lambda row: row | {"width_m": row["width_m"] + 2e-4}),
     "t_exec_s": ("trials", lambda row: row | {"t_exec_s": row["t_exec_s"] and row["t_exec_s"] + 0.05}),
-    "presented_distance_m": ("trials", lambda row: row | {"presented_distance_m": None}),
+    "presented_margin_m": ("trials", lambda row: row | {"presented_margin_m": None}),
     "opening_m": ("details", lambda row: row | {"opening_m": row["opening_m"] + 2e-4}),
     "q_goal": ("details", lambda row: row | {"q_goal": row["q_goal"] and [x + 0.01 for x in row["q_goal"]]}),
     "witness_plan_part": ("details", lambda row: row | {"witness_plan_part": "shoulder"}),
