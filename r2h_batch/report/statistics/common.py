@@ -18,6 +18,8 @@ from r2h_batch.verdicts import CRITERIA, REGISTRY, SPLITS
 
 FINER = ("apart_from_objects", "each_object")
 """Parts of the digests. They are not compared, because older runs do not store them."""
+HEADS = "their persons' heads"
+"""A difference between a run of r2h_batch 0.3 and a later one."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +66,8 @@ def common_trials(
             if {first.folder, run.folder} & set(proven):
                 shipped = "stored rows have default options, with --execute.sim mujoco and with --execute.sim none"
                 advice = f"{shipped}: sweep like that"
+            if what.startswith(HEADS):
+                advice = "sweep the older one again"
             if what.startswith("what"):
                 advice = "sweep both with the same --sees"
             if what.startswith("robot"):
@@ -151,7 +155,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     counts = left["configuration"].get("receiver") == "body" or "sees" in left["digests"]
     if has_head(left) != has_head(right) and counts:
         bare = b if has_head(left) else a
-        return f"what a person is made of (the receivers of {bare.folder.name} have no head)"
+        return f"{HEADS} (the receivers of {bare.folder.name} have none)"
     digests = [{k: v for k, v in h["digests"].items() if k not in skipped} for h in (left, right)]
     if digests[0] != digests[1]:
         return f"digests ({_other_keys(*digests)})"
