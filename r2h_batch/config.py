@@ -33,8 +33,9 @@ TABLE_CENTER = (-0.025, 0.0, -0.025)
 TABLE_HALF = (0.475, 0.6, 0.025)
 """The table's top is at z = 0, x from -0.5 to 0.45 m, |y| <= 0.6 m; it is 5 cm thick [choice]."""
 
-PRESENTED_M = {"S0": 0.01, "S1": 0.02}
-"""Presented: gripper and sharp parts may be nearer to the palm than the wanted part by this [choice]."""
+PRESENTED_M = {"S0": 0.075, "S1": 0.035}
+"""Presented: gripper and sharp parts may be nearer to the palm than the wanted part by this. [choice] of three raters: the
+smallest value that agrees with most of their pictures (bench/rating.py)."""
 
 UPRIGHT_DEG = 60.0
 """A vessel is upright where its opening is within this angle of the world's up [choice]."""

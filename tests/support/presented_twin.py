@@ -10,7 +10,7 @@ from r2h_batch.scene.robot import Robot, gripper_primitives_at
 
 Array = NDArray[np.float64]
 SPHERE, CAPSULE, CYLINDER, BOX = range(4)
-ROOM_M = {"S0": 0.01, "S1": 0.02}
+ROOM_M = {"S0": 0.075, "S1": 0.035}
 SHARP = {"knife": "blade", "scissors": "blade", "screwdriver": "tip", "power_drill": "bit"}
 
 
