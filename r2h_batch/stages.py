@@ -228,7 +228,7 @@ def criteria(w: Work) -> None:
     """The benchmark's criteria with margins, and the outcome: the first that fails."""
     evidence = metrics.Evidence(
         w.scene, w.config, w.held, w.goal_reached, w.moves, w.clearance_m, w.reason, w.nearest, w.slip_m, w.reached,
-        w.presented, w.picked,
+        w.presented, w.trials, w.picked,
     )  # fmt: skip
     entries = criteria_of(w.scene.benchmark.asks)
     w.fields |= verdict(entries, metrics.judge(evidence), w.held, w.slip_m, w.valid)

@@ -193,3 +193,75 @@ assert (scores.passed[:, at] == (wanted >= 0))[judged].all()
 print("level of", int(judged.sum()))
 """
     assert said(tmp_path, use).startswith("level of ")
+
+
+HANDED = """
+from r2h_batch.verdicts import SPLITS, CriterionEntry
+
+FIRST = CriterionEntry("first", "f_first", "F_first", 5, "#666666", SPLITS, True, since="handed 1.0", function="handed:first")
+FACE = CriterionEntry("face", "f_face", "F_face", 6, "#777777", SPLITS, True, since="handed 1.0", function="handed:face")
+STANDS = CriterionEntry("stands", "f_stands", "F_stands", 7, "#888888", SPLITS, True, since="handed 1.0", unit="deg",
+                        function="handed:stands", applies=lambda o: o.up is not None)
+
+
+def first(e):
+    import torch
+    from r2h_batch.config import PRESENTED_M
+    from r2h_batch.judge.metrics import Criterion
+    point, _, ball = e.palm
+    t = torch.where(e.trial_id % 2 == 0, PRESENTED_M["S0"], PRESENTED_M["S1"])
+    others = torch.minimum(e.distance(point, "gripper"), e.distance(point, "sharp"))
+    margin = torch.minimum(0.10 - e.distance(ball, "wanted"), t + others - e.distance(point, "wanted"))
+    return Criterion(margin.float(), e.held.active)
+
+
+def face(e):
+    from r2h_batch.judge.metrics import Criterion
+    points, of_object = e.points("object")
+    gaps = [e.distance(points[:, i].contiguous(), "head") for i in range(0, points.shape[1], 64)]
+    nearest = gaps[0]
+    for gap in gaps[1:]:
+        nearest = nearest.minimum(gap)
+    return Criterion(nearest, e.held.active, limit=0.05)
+
+
+def stands(e):
+    from r2h_batch.judge.metrics import Criterion
+    return Criterion(e.up[:, 2].nan_to_num(0.0).clamp(-1, 1).acos().rad2deg(), e.held.active, limit=60.0, below=True)
+"""
+
+
+def test_a_stranger_writes_presented_the_heads_clearance_and_upright_with_our_verdicts(tmp_path: Path) -> None:
+    points = "".join(f"criterion.{name.lower()} = handed:{name}\n" for name in ("FIRST", "FACE", "STANDS"))
+    installed(tmp_path, "handed", points, HANDED)
+    use = """
+import numpy as np, torch
+from r2h_batch import Evaluator, load_benchmark
+from r2h_batch.config import UPRIGHT_DEG
+from r2h_batch.methods.random import predict
+from r2h_batch.scene.person import heads_of
+evaluator = Evaluator(load_benchmark()).kinematic
+trials = evaluator.benchmark.trials(48)
+answer = predict(trials, evaluator.scene, seed=0)
+s = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, stages="pose")
+of = {name: s.criteria.index(name) for name in ("first", "face", "stands")}
+judged = s.evaluated[:, of["first"]]
+first, ours = s.margin[:, of["first"]], s.presented_margin_m
+assert judged.all() and (first - ours).abs().max() < 2e-5 and (first > 0).any() and (first < 0).any()
+stands = s.evaluated[:, of["stands"]]
+assert torch.equal(stands, ~s.tilt_deg.isnan()) and stands.any() and not stands.all()
+assert torch.equal(s.passed[:, of["stands"]][stands], (s.tilt_deg <= UPRIGHT_DEG)[stands])
+shift = torch.eye(4).repeat(len(trials), 1, 1)
+shift[:, 1, 3] = s.grasp_shift_m  # closing moves the object along y of the gripper
+T_world_obj = (answer.T_world_ee @ torch.linalg.inv(answer.T_obj_ee @ shift)).double().numpy()
+head = heads_of(trials.receiver).double().numpy()
+for i in range(len(trials)):
+    points = np.asarray(evaluator.scene.objects[int(trials.object_index[i])].points, float)[::64]
+    world = points @ T_world_obj[i, :3, :3].T + T_world_obj[i, :3, 3]
+    low, high, r = head[i, 0, :3], head[i, 1, :3], head[i, 0, 3]
+    share = np.clip((world - low) @ (high - low) / ((high - low) @ (high - low)), 0, 1)
+    gap = np.linalg.norm(world - low - share[:, None] * (high - low), axis=1).min() - r
+    assert abs(gap - 0.05 - s.margin[i, of["face"]]) < 2e-5, (i, gap, s.margin[i, of["face"]])
+print("same verdicts", len(trials))
+"""
+    assert said(tmp_path, use).startswith("same verdicts")

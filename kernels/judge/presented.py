@@ -1,4 +1,4 @@
-"""Presented: what of gripper and object comes to the palm first. Upright: how a vessel's opening stands."""
+"""Presented: what of gripper and object comes to the palm first. Upright: how a vessel's opening stands. Distances of points."""
 
 import warp as wp
 
@@ -18,6 +18,11 @@ BY_BALL = wp.constant(0)
 """As `r2h_batch.verdicts.Nearer`."""
 BY_GRIPPER = wp.constant(1)
 BY_SHARP = wp.constant(2)
+OF_GRIPPER = wp.constant(0)
+"""What `distance_of` measures to."""
+OF_OBJECT = wp.constant(1)
+OF_WANTED = wp.constant(2)
+OF_SHARP = wp.constant(3)
 FARTHER_M = wp.constant(1.0e-5)
 """More than rounding moves a distance of a few metres."""
 
@@ -113,3 +118,43 @@ def present(
         v = turned(T_world_ee_in[row], turned(inverse(attached_in[row]), up))
         # atan2 keeps its digits where acos loses them: at 0 and 180 degrees
         tilt_out[row] = wp.degrees(angle_of(wp.length(wp.vec3(v[0], v[1], 0.0)), v[2]))
+
+
+@wp.kernel
+def distance_of(
+    first: int, cap: float,
+    part: int,  # of OF_GRIPPER, OF_OBJECT, OF_WANTED, OF_SHARP
+    # tables, as in `present`
+    surfaces: Surfaces, mesh_in: wp.array(dtype=wp.uint64),
+    regions: Surfaces, region_offset: int, region_mesh_in: wp.array(dtype=wp.uint64),
+    sharp: Surfaces, sharp_mesh_in: wp.array(dtype=wp.uint64),
+    gripper: Gripper,
+    # trials
+    active_in: wp.array(dtype=wp.bool), object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44), T_world_ee_in: wp.array(dtype=wp.mat44),
+    R_wrist_grip_in: wp.array2d(dtype=wp.mat33), p_wrist_grip_in: wp.array2d(dtype=wp.vec3),
+    R_wrist_obj_in: wp.array(dtype=wp.mat33), p_wrist_obj_in: wp.array(dtype=wp.vec3),
+    point_in: wp.array(dtype=wp.vec3),  # world
+    # out
+    distance_out: wp.array(dtype=float),
+):  # fmt: skip
+    """Distance of a point from gripper, object, or a part of it (m); inf: it has none; NaN in rows that are not active."""
+    row = first + wp.tid()
+    distance_out[row] = wp.nan
+    if not active_in[row]:
+        return
+    o = object_in[row]
+    region = o + region_offset
+    x = moved(attached_in[row], moved(inverse(T_world_ee_in[row]), point_in[row]))  # object frame
+    found = float(wp.inf)
+    if part == OF_GRIPPER:
+        on_wrist = R_wrist_obj_in[row] * x + p_wrist_obj_in[row]
+        found = _gripper_distance(gripper, R_wrist_grip_in, p_wrist_grip_in, row, on_wrist)
+    elif part == OF_SHARP:
+        if sharp.surface_first[o] < sharp.surface_first[o + 1]:
+            found, _ = nearest_on_surface(sharp, o, sharp_mesh_in[o], x, cap)
+    elif part == OF_WANTED and regions.surface_first[region] < regions.surface_first[region + 1]:
+        found, _ = nearest_on_surface(regions, region, region_mesh_in[o], x, cap)
+    else:
+        found, _ = solid_distance(surfaces, o, mesh_in[o], x, cap)
+    distance_out[row] = found

@@ -11,19 +11,22 @@ from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
-from jaxtyping import Bool, Float32, Float64, Int8, Int32
+from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
 from torch import Tensor
 
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
+from r2h_batch.judge import at_handover
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
-from r2h_batch.judge.foreign import ask
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.reach import Reached
 from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.person import eyes_of, heads_of
 from r2h_batch.scene.scene import Scene
+from r2h_batch.types import Trials
 from r2h_batch.verdicts import (
     CriterionEntry,
     MarginKind,
@@ -88,7 +91,81 @@ class Evidence:
     slip_m: Float64[Tensor, " b"] | None  # in the shake, NaN where it failed; None: not shaken
     reached: Reached  # where what Reach measures of the object is nearest to the ball's middle
     presented: Presented  # what comes to the hand first
+    trials: Trials
     picked: "Picked | None" = None  # None: the benchmark does not ask for Pick
+
+    @property
+    def trial_id(self) -> Int64[Tensor, " b"]:
+        """(B,) numbers of the trials."""
+        return self.trials.trial_id
+
+    @property
+    def T_world_obj(self) -> Float32[Tensor, "b 4 4"]:
+        """(B, 4, 4) where the objects are once the pads have closed, m; the identity in rows that are not judged."""
+        return at_handover.T_world_obj(self.held)
+
+    @property
+    def palm(self) -> at_handover.Palm:
+        """The receivers' palms in the world: point p_h, normal n_h and middle of the ball c_h, (B, 3) each."""
+        return at_handover.Palm(*self.scene.palm(self.trials.hand_index, self.trials.T_world_hand))
+
+    @property
+    def receiver(self) -> Float32[Tensor, "b 5 4"]:
+        """(B, 5, 4) arm and torso, as `Trials.receiver` has them.
+
+        Raises:
+            ValueError: these receivers have no body.
+        """
+        if self.trials.receiver is None:
+            raise ValueError(
+                f"receivers of {self.scene.benchmark.name} have no body; take a benchmark of people, such as r2h-v2"
+            )
+        return self.trials.receiver
+
+    @property
+    def head(self) -> Float32[Tensor, "b 2 4"]:
+        """(B, 2, 4) the receivers' heads, capsules: lower and upper end, each with the radius; world, m."""
+        return heads_of(self.receiver)
+
+    @property
+    def eyes(self) -> Float64[Tensor, "b 2 3"]:
+        """(B, 2, 3) left and right eye, world, m."""
+        return eyes_of(self.receiver)
+
+    @property
+    def up(self) -> Float32[Tensor, "b 3"]:
+        """(B, 3) unit vectors towards vessels' openings in the world; NaN where the object is no open vessel."""
+        local = np.stack([np.full(3, np.nan) if o.up is None else o.up for o in self.scene.objects])
+        rows = self.held.objects.long()
+        of_row = torch.from_numpy(local).float().to(rows.device)[rows]
+        return (self.T_world_obj[:, :3, :3] @ of_row[:, :, None])[:, :, 0]
+
+    def points(
+        self, role: at_handover.Role
+    ) -> tuple[Float32[Tensor, "b p 3"], Bool[Tensor, "b p"]]:
+        """Points on the objects' surfaces in the world, m, and which of them are of a part.
+
+        Args:
+            role: `object`, `wanted` (S1: the receiver's region, S0: the object) or `sharp`.
+
+        Returns:
+            (B, P, 3) and (B, P).
+        """
+        return at_handover.points(self.scene, self.held, role)
+
+    def distance(self, point: Float32[Tensor, "b 3"], to: str) -> Float32[Tensor, " b"]:
+        """How far points are from something, m.
+
+        Args:
+            point: (B, 3) float32 in the world, m.
+            to: `gripper`, `object`, `wanted`, `sharp` or `head`.
+
+        Returns:
+            (B,) 0 inside of gripper or object, negative inside of the head, inf where there is no such part.
+        """
+        if to == "head":
+            return at_handover.head_distance(self.head, point)
+        return at_handover.distance(self.scene, self.held, point, to)
 
 
 def judge(evidence: Evidence) -> list[Criterion]:
@@ -97,13 +174,10 @@ def judge(evidence: Evidence) -> list[Criterion]:
 
 
 def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:
-    if entry.function:
-        found = ask(entry, lambda: _function(entry), e, e.held.active, Criterion)
-    else:
-        found = _function(entry)(e)
+    found = _function(entry)(e)
     if entry.applies is None:
         return found
-    concerned = _concerned(entry, e.scene.objects, found.evaluated.device)
+    concerned = _concerned(entry.applies, e.scene.objects, found.evaluated.device)
     return replace(found, evaluated=found.evaluated & concerned[e.held.objects.long()])
 
 
@@ -116,10 +190,10 @@ def _function(entry: CriterionEntry) -> Callable[[Evidence], Criterion]:
 
 @lru_cache(maxsize=64)
 def _concerned(
-    entry: CriterionEntry, objects: tuple[ObjectModel, ...], device: torch.device
+    applies: Callable[[ObjectModel], bool], objects: tuple[ObjectModel, ...], device: torch.device
 ) -> Bool[Tensor, " o"]:
     """Which objects a criterion concerns; asked once, for a GPU would wait for a copy from the host."""
-    return torch.tensor([entry.concerns(o) for o in objects], dtype=torch.bool, device=device)
+    return torch.tensor([bool(applies(o)) for o in objects], dtype=torch.bool, device=device)
 
 
 def stability(e: Evidence) -> Criterion:

@@ -2,12 +2,7 @@
 
 import sys
 
-from r2h_batch.base.command_line import refuse
-from r2h_batch.plugins import PluginError
+from r2h_batch.sweep.command import main
 
 if __name__ == "__main__":
-    try:
-        from r2h_batch.sweep.command import main
-    except PluginError as error:  # criteria of packages are read with the words of verdicts
-        sys.exit(refuse("sweep", error))
     sys.exit(main())
