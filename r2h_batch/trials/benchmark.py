@@ -58,7 +58,8 @@ makes them only where it needs them."""
 
 
 CERTIFIED_BY = ("pick", "received")
-"""What answers of certificates pass beside `CRITERIA`. Presented came later, and some of them fail it."""
+"""The criteria beside `CRITERIA` that the name of certificates knows: those of the first search. One that came later changes no
+trial; answers that failed it were searched again."""
 
 WITH_PEOPLE = "r2h-v1 or r2h-v2"
 """Named benchmarks whose receivers have bodies, for messages."""

@@ -280,7 +280,9 @@ class Drawing:
                 return self._met[1]
             if failed == "presented":
                 return self._comes_first()
-            return self._gap("reach", "object/mesh_visual") if failed == "reach" else None
+            if failed == "reach":
+                return self._gap("reach", self._triangles("object/mesh_visual"))
+            return None
         if stored.unreachable:
             data = self.at(stored.target_q)
             line = np.stack([data.site("ee").xpos, data.site("target").xpos])
@@ -380,11 +382,11 @@ class Drawing:
                 best = Witness(names, kind, least, line.reshape(2, 3))
         return best
 
-    def _gap(self, criterion: str, geom: str) -> Witness:
-        """From the nearest point of a geom of the object to the ball that it should meet."""
+    def _gap(self, criterion: str, triangles: Array) -> Witness:
+        """From the nearest point of some of the object's triangles to the ball that it should meet."""
         data = self.at(self.stored.target_q)
         center, radius = data.site("ball").xpos.copy(), float(self.model.site("ball").size[0])
-        point, distance = _nearest_point(self._triangles(geom), center)
+        point, distance = _nearest_point(triangles, center)
         end = center + radius / distance * (point - center)
         margin = self._stored_m(criterion)
         away = distance - radius if margin is None else -margin
@@ -394,17 +396,16 @@ class Drawing:
     def _comes_first(self) -> Witness:
         """What Presented fails by: the part of the gripper or of the object that is nearest to the palm, or the gap to the
         ball."""
-        stored, words = self.stored, presented_words(self.stored.row)
+        stored, words, own = self.stored, presented_words(self.stored.row), self.stored.object_model
+        T = stored.T_world_ee @ np.linalg.inv(stored.T_obj_ee_attached)
+        triangles = own.vertices.astype(np.float64)[own.faces] @ T[:3, :3].T + T[:3, 3]
         if stored.row.get("presented_by") not in ("gripper", "sharp"):
-            region = mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, REGION)
-            return self._gap("presented", REGION if region >= 0 else "object/mesh_visual")
+            region = own.receiver_face
+            return self._gap("presented", triangles[region] if region.any() else triangles)
         palm = self.at(stored.target_q).site("palm").xpos.copy()
         away = self._stored_m("presented") or 0.0
         if stored.row["presented_by"] == "sharp":
-            own = stored.object_model
-            T = stored.T_world_ee @ np.linalg.inv(stored.T_obj_ee_attached)
-            triangles = own.vertices.astype(np.float64)[own.faces[own.sharp_face]]
-            point, _ = _nearest_point(triangles @ T[:3, :3].T + T[:3, 3], palm)
+            point, _ = _nearest_point(triangles[own.sharp_face], palm)
             return Witness((), "presented", away, np.stack([point, palm]), words=words)
         names = [self.model.geom(g).name for g in self._collision_geoms()["gripper"]]
         found = {name: _nearest_point(self._triangles(name), palm) for name in names}

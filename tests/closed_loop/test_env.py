@@ -796,3 +796,24 @@ def moved_by(T, way):
     T = T.clone()
     T[:, :3, 3] += way
     return T
+
+
+def test_what_comes_to_the_hand_wrongly_is_not_received_where_the_benchmark_asks_for_it():
+    """A pose that succeeds with the gripper first ends so, and one with the object first is received; beside a still hand."""
+    plain = load_benchmark("r2h-v2")
+    config = EvalConfig(execute=ExecConfig(sim="none"))
+    before = Evaluator(plain, config)
+    trials = plain.trials(60)
+    asked = random_method.predict(trials, before.scene)
+    scores = before.score(asked.T_obj_ee, asked.T_world_ee, trials)
+    rows = torch.cat([torch.nonzero(scores.success & which)[:3, 0] for which in (scores.presented, ~scores.presented)])
+    assert len(rows) == 6
+    for asks, refused in (((), 0), (("presented",), 3)):
+        evaluator = Evaluator(replace(plain, asks=asks), config)
+        some = trials[rows].named(plain.objects)
+        found = evaluator.score(asked.T_obj_ee[rows], asked.T_world_ee[rows], some)
+        env, e = played(found, "planned", "still")
+        ends = [End(int(k)).name for k in e.end]
+        assert ends == ["SUCCESS"] * (6 - refused) + ["NOT_RECEIVED"] * refused
+        if refused:
+            assert set(env._info(None)["why"][3:]) == {"the wanted part was not what the hand came to first"}

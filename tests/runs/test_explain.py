@@ -6,7 +6,7 @@ from made_runs import write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.runs import load_run
-from r2h_batch.runs.explain import explained, headline
+from r2h_batch.runs.explain import explained, headline, presented_words
 from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA, Outcome
 
@@ -32,6 +32,12 @@ def run(tmp_path_factory):
     [
         (row("stability", -0.0071, width_m=0.0921), "92.1 mm of material between the pads", "2.0 to 85.0 mm of material"),
         (row("reach", -0.0342), "by 34.2 mm", "34.2 mm nearer to the ball's middle (radius 100 mm)"),
+        (row("presented", -0.014, presented_margin_m=-0.014, presented_by="gripper", split="S0"),
+         "the gripper is 2.4 cm nearer to the palm than the object", "the object 14.0 mm nearer to the hand, or the gripper"),
+        (row("presented", -0.03, presented_margin_m=-0.03, presented_by="sharp", split="S1"),
+         "a sharp part is 5.0 cm nearer to the palm than the receiver's part", "or a sharp part farther away"),
+        (row("presented", -0.052, presented_margin_m=-0.052, presented_by="ball", split="S1"),
+         "the receiver's part is 5.2 cm outside the ball", "the receiver's part 52.0 mm nearer to the hand"),
         (row("affordance", -0.0031, margin_kind_affordance="bound"), "by at least 3.1 mm", "at least 3.1 mm farther"),
         (row("safe", -0.004, witness_safe_part="wrist_3_0", witness_time_s=3.21, witness_point_m=[0.1, 0.2, 0.3]),
          "wrist 3 meets the hand at 3.2 s", "the robot 4.0 mm farther from the hand then"),
@@ -50,6 +56,19 @@ def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stor
     text = str(found)
     assert text.startswith("trial 7, mine") and "r2h-batch view RUN --trial 7" in text
     assert ("mm" in text.split("margin:")[1].splitlines()[0]) if np.isfinite(margin) else "margin:" not in text
+
+
+def test_what_presented_is_about_is_said_of_every_row_and_the_limit_of_what_fails():
+    told = {"split": "S1", "presented_by": "gripper"}
+    assert presented_words({**told, "presented_margin_m": 0.05}) == (
+        "the receiver's part is 3.0 cm nearer to the palm than the gripper"
+    )
+    assert presented_words({**told, "presented_margin_m": 0.01}).startswith("the gripper is 1.0 cm nearer")
+    inside = {**told, "presented_by": "ball", "presented_margin_m": 0.08}
+    assert presented_words(inside) == "the receiver's part is 8.0 cm inside the ball in front of the palm"
+    assert presented_words({"split": "S1", "presented": True}) == ""  # a row of before
+    failed = row("presented", -0.014, presented_margin_m=-0.014, presented_by="gripper", split="S0")
+    assert explained(failed, "mine", LIMITS, "").witness.endswith("than the object; up to 1 cm is allowed")
 
 
 def test_the_pair_of_the_margin_is_named_where_it_was_computed():
