@@ -211,15 +211,14 @@ def unseen_row() -> list[str]:
     found = ranks.read("networks")["values"]
 
     def cell(split: str) -> str:
-        sr, *ends = (found[f"networks.other_categories.{split}.{k}"] for k in ("sr", *CATEGORIES, *FEW))
-        a, b, c, d = (f"{x:.1f}" for x in ends)
-        return f"{sr:.1f} ({a}-{b}; {c}-{d})"
+        sr, low, high = (found[f"networks.other_categories.{split}.{k}"] for k in ("sr", *CATEGORIES))
+        return f"{sr:.1f} ({low:.1f}-{high:.1f})"
 
     return [cell("s0"), cell("s1"), found["networks.other_categories.beside"]]
 
 
-CATEGORIES, FEW = (("sr_new_categories_low", "sr_new_categories_high"), ("sr_few_low", "sr_few_high"))
-"""Ends of the intervals for all categories, and for a few new ones."""
+CATEGORIES = ("sr_new_categories_low", "sr_new_categories_high")
+"""Ends of the interval for the mean of all categories."""
 
 
 def columns_table(columns: dict[str, dict[str, str]]) -> str:
@@ -318,7 +317,7 @@ def shown(_: object) -> dict[str, object]:
     made = data["provenance"]
     return {
         "one": families.table_one(own),
-        **{"n": first["n"], "few": first["few"]},
+        "n": first["n"],
         **{k: made[k] for k in ("command", "rows", "commit")},
         "rates": columns_table(rates_of(data)),
         **truth_about_v1(),

@@ -202,7 +202,7 @@ def test_an_object_that_gets_no_trial_is_refused_before_anything_is_judged(tmp_p
 def test_a_run_that_was_played_shows_its_own_table_before_that_of_its_plans(capsys):
     assert main(["report", str(Path(__file__).parent / "frozen" / "closed_loop")]) == 0
     said = capsys.readouterr().out
-    assert 0 <= said.index("Closed loop: servo") < said.index("Rates in percent")
+    assert 0 <= said.index("Closed loop: servo") < said.index("judged with the hand at rest")
 
 
 EDITED = """

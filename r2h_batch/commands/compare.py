@@ -33,6 +33,7 @@ def compare(
     format: Literal["md", "latex", "csv", "json"] = "md",
     method: tuple[str, ...] = (),
     all_pairs: bool = False,
+    full: bool = False,
     across_robots: bool = False,
     categories: int = FEW,
 ) -> int:
@@ -49,12 +50,14 @@ def compare(
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; by default all.
         all_pairs: also compare the baselines with each other.
+        full: md: each split's pairs, ranks and shares, and all notes, where 25 lines do not have them. The other formats have
+            all of it.
         across_robots: also pair runs of several robots, by the number of the trial.
         categories: so many new categories of objects: where their mean difference lies, beside the
             interval for the mean of all categories (without families: objects).
     """
     from r2h_batch.base.table import plain
-    from r2h_batch.report.compare.text import render
+    from r2h_batch.report.compare.text import brief, render
     from r2h_batch.report.statistics import paired as statistics
     from r2h_batch.report.statistics.aggregate import rate_of
     from r2h_batch.report.statistics.common import common_trials
@@ -101,6 +104,9 @@ def compare(
         }
         for n, k, own in called
     }
+    if format == "md" and not full:
+        sys.stdout.write(brief(comparisons, notes, turns))
+        return 0
     text = render(comparisons, format, origin=origin, notes=notes, turns=turns, shares=shares)
     sys.stdout.write(text)
     return 0

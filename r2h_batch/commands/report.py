@@ -24,8 +24,10 @@ def report(
     format: Literal["md", "latex", "csv", "json", "html"] = "md",
     by_object: bool = False,
     by_people: bool = False,
+    full: bool = False,
     columns: Literal[1, 2] = 2,
     intervals: bool = False,
+    times: bool = False,
     method: tuple[str, ...] = (),
     scans: Path | None = None,
     categories: int = FEW,
@@ -41,13 +43,15 @@ def report(
             baselines stands for the built-in methods' rows, which ship with the package.
         format: md, latex, csv or json; html: one page with figures and a search over trials, no
             network needed.
-        by_object: print the rates of each object instead of Table I; in md also which criteria fail
-            together. The html page has both.
+        by_object: print the rates of each object instead of Table I. The html page has both.
+        full: md: every table, interval, note and object, and which criteria fail together, where 25 lines do not have them. The
+            other formats have all of it.
         by_people: print success by age, stature, hand, sex and seat, and whom no method serves, of a sweep
             with --people.
         columns: latex: width of the table in columns of the page: 2 for all of Table I, 1 for the SR
             of each split.
-        intervals: latex: 95 % intervals below the rates; the other formats always have them.
+        intervals: latex: 95 % intervals below all rates; below SR they always stand.
+        times: latex: also T_plan of a batch and T_tot, which depend on how many trials are planned at once.
         method: only these methods, by the sweep's word (fc) or the table's name; all by default.
         scans: a run of the same methods on your own meshes (sweep --objects FOLDER): their SR as a
             column of the table.
@@ -123,28 +127,35 @@ def report(
     elif by_people:
         from r2h_batch.report.people import people_lines
 
-        text = people_lines(stored, format)
+        text = people_lines(stored, format, full=full)
     elif by_object:
-        from r2h_batch.report.table import object_lines
+        from r2h_batch.report.table import object_lines, objects_brief
 
-        text = object_lines(stored, format)
+        short = format == "md" and not full
+        text = objects_brief(stored) if short else object_lines(stored, format)
     else:
         from r2h_batch.report.next_commands import judged_alike, next_commands
-        from r2h_batch.report.table import render, table_of
+        from r2h_batch.report.table import brief, render, table_of
+        from r2h_batch.report.text import MOST_LINES
 
         of_scans = None if scans is None else load_run(scans)
         table = table_of(
             stored, alike=len(loaded) == 1 or judged_alike(loaded), scans=of_scans, few=categories
         )
-        text = render(table, format, columns=columns, intervals=intervals)
+        if format == "md" and not full:
+            text = brief(table)
+        else:
+            text = render(table, format, columns=columns, intervals=intervals, times=times)
         if format == "md" and (
-            played := _played(loaded)
+            played := _played(loaded, brief=not full)
         ):  # else the hand at rest looks like the result
             text = (
                 f"{played}\nThe plans of the same trials, judged with the hand at rest:\n\n{text}"
             )
         if format == "md" and out is None:
-            text += "\n" + next_commands(loaded)
+            more = "\n" + next_commands(loaded)
+            if full or (text + more).count("\n") <= MOST_LINES:
+                text += more
     if out is None:
         sys.stdout.write(text)
     else:
@@ -156,14 +167,14 @@ def report(
     return 1 if stored.unfinished else 0
 
 
-def _played(runs: "Sequence[Run]") -> str:
-    """The tables of the runs that were played in closed loop; empty where none was."""
+def _played(runs: "Sequence[Run]", *, brief: bool) -> str:
+    """The tables of the runs that were played in closed loop, or how their episodes ended; empty where none was."""
     played = [own for run in runs for own in run.runs if "episodes" in own.header["stored"]]
     if not played:
         return ""
     from r2h_batch.report.closed_loop import render
 
-    return "\n".join(render(own) for own in played if own.methods)
+    return "\n".join(render(own, brief=brief) for own in played if own.methods)
 
 
 def _pages(out: Path) -> Path:

@@ -28,9 +28,13 @@ OWN_POLICY = (
 SHOWN = ("contact", "collision", "drop", "not_received", "timeout")
 
 
-def render(run: Run) -> str:
-    """Tables of all methods of a run that holds episodes, as text that ends in a newline."""
-    short = short_names(run.methods)
+def render(run: Run, *, brief: bool = False) -> str:
+    """Tables of all methods of a run that holds episodes, as text that ends in a newline.
+
+    Args:
+        run: what `load_run` gives.
+        brief: how episodes ended, and nothing else.
+    """
     short = short_names(run.methods)
     records = []
     for name in run.methods:
@@ -60,6 +64,8 @@ def render(run: Run) -> str:
     ]
     notes = (OWN_POLICY, *NOTES) if own else NOTES
     loop = f"Closed loop: {plain(loop)}"
+    if brief:
+        return document([loop, Table(ends, records)])
     return document([loop, Table(ends, records), Table([method, *HOW], records), notes_list(notes)])
 
 

@@ -21,7 +21,7 @@ def next_commands(runs: Sequence[Run], printed: Literal["brief", "table"] = "tab
     folders = shlex.join(_short(run.folder) for run in runs)
     lines = []
     if printed == "brief":
-        lines.append(("report", "", "times, counts and all intervals, with what they mean"))
+        lines.append(("report", " --full", "times, counts and all intervals, with what they mean"))
     if (words := _compared(runs)) is not None:
         lines.append(("compare", words, "which differences are more than chance"))
     lines.append(("report", " --format html > report.html", "by object, margins, every trial"))

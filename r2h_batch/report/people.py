@@ -154,19 +154,20 @@ def _received(run: Run, method: str, trial_id: NDArray[np.int64]) -> NDArray[np.
     return found
 
 
-def people_lines(run: Run, fmt: str = "md") -> str:
+def people_lines(run: Run, fmt: str = "md", *, full: bool = True) -> str:
     """Success by groups of people, and whom no method serves.
 
     Args:
         run: what `load_run` gives.
         fmt: md, csv or json.
+        full: md: also who received the object and whom no method serves.
 
     Raises:
         ValueError: no such format, or the run has no people.
     """
     found = served(run)
     if fmt == "md":
-        return _md(found)
+        return _md(found, full=full)
     records = [
         {
             "by": by,
@@ -195,7 +196,7 @@ def people_lines(run: Run, fmt: str = "md") -> str:
     raise ValueError(f"no table of people in format {fmt!r}; allowed are md, csv, json")
 
 
-def _md(found: Served) -> str:
+def _md(found: Served, *, full: bool) -> str:
     names = short_names(found.methods)
     n = found.success.shape[1]
     groups = [("all", "", np.ones(n, bool)), *found.groups()]
@@ -221,6 +222,11 @@ def _md(found: Served) -> str:
         *(Column(m, names[m], RATE) for m in found.methods),
         *(Column("no_method", "No method", RATE), Column("redrawn", "Redrawn")),
     ]
+    if not full:
+        more = (
+            "SR in % (95 %, Wilson). Whom no method serves: r2h-batch report RUN --by-people --full"
+        )
+        return document([Table(columns, records, [more])])
     notes = [
         *map(plain, legend(names)),
         "SR in % with its 95 % interval (Wilson). No method: trials in which no method succeeds.",

@@ -1,6 +1,7 @@
 """Table I of a run: its columns and notes, and the text of it as Markdown, LaTeX, CSV or JSON; also
 object by object."""
 
+import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -44,7 +45,15 @@ from r2h_batch.report.statistics.rates import (
     shares,
 )
 from r2h_batch.report.statistics.tally import Tally, tally
-from r2h_batch.report.text import legend, rate_fields, short_digests, short_names
+from r2h_batch.report.text import (
+    MOST_LINES,
+    NOTE_LINES,
+    few_notes,
+    legend,
+    rate_fields,
+    short_digests,
+    short_names,
+)
 from r2h_batch.report.trained import sentences
 from r2h_batch.report.turn import MARK, Turned, about, turned
 from r2h_batch.runs.header import motions_left_out
@@ -98,10 +107,6 @@ PRESENTED_NOTES = {
 
 OF_SUCCESSES = {PRESENTED: "Pres.", UPRIGHT: "Upright"}
 """Shares that the short table has, too, and their headings there."""
-OF_SUCCESSES_NOTE = (
-    "Pres. (Presented): percent of the successes in which the wanted part comes to the hand first, before gripper and sharp"
-    " parts. Upright: of those with an open vessel, whose opening is up. No part of SR."
-)
 
 ASKED_FOR = (PICK, PRESENTED, PRESENTED_BEFORE)
 """Shares without a column in tables that have none: of methods that are told the truth, of what the benchmark judges by, of
@@ -392,14 +397,22 @@ def _instances(header: Mapping[str, Any]) -> dict[str, str]:
     return {"instances": f"{number}, digest {header['digests'].get('objects', 'unknown')}"}
 
 
-def render(report: Report, fmt: str, *, columns: int = 2, intervals: bool = False) -> str:
+def render(
+    report: Report,
+    fmt: str,
+    *,
+    columns: int = 2,
+    intervals: bool = False,
+    times: bool = False,
+) -> str:
     """The table as text that ends in a newline.
 
     Args:
         report: what `table_of` gives.
         fmt: one of `FORMATS`.
         columns: LaTeX: all of Table I over both columns of a page (2), or SR alone in one (1).
-        intervals: LaTeX: 95 % intervals below the rates. The other formats always have them.
+        intervals: LaTeX: 95 % intervals below all rates; below SR they always stand. The other formats have them.
+        times: LaTeX: also T_plan of a batch, and T_tot with it. The other formats have them.
 
     Raises:
         ValueError: if the format or number of columns does not exist.
@@ -407,7 +420,7 @@ def render(report: Report, fmt: str, *, columns: int = 2, intervals: bool = Fals
     if fmt == "md":
         return _md(report)
     if fmt == "latex":
-        return _latex(report, columns, intervals)
+        return _latex(report, columns, intervals=intervals, times=times)
     records = [_with_more(report, row) for row in report.rows]
     if fmt == "csv":
         origin = {k.replace(" ", "_"): v for k, v in report.origin.items()}
@@ -567,32 +580,86 @@ def share_columns(report: Report) -> list[Column]:
     ]
 
 
-def brief(report: Report) -> str:
-    """The short table that a sweep prints: success and first failures, where the rows come from, what must be known about them.
-    `render` has the other intervals, counts, times and shares with their notes."""
-    rates = [c for c in report.headings if c not in TIMES and c != "sr"]
+def brief(report: Report, more: str = "r2h-batch report RUN --full") -> str:
+    """The short table of a sweep and of a report: success with one interval, first failures, where the rows come from, and what
+    must be known about them, in `MOST_LINES` lines. `render` has the other intervals, counts, times and shares with all notes.
+
+    Args:
+        report: what `table_of` gives.
+        more: the command that prints all of it.
+    """
     short = short_names([row.method for row in report.rows])
+    most = MOST_LINES - NOTE_LINES - 6  # head, origin and what stands between
+    records = [record | sr_ends(row) for record, row in zip(records_of(report), report.rows)]
+    wide = len(records) > most
+    if wide:  # a line for each method: SR of each split, the rest of all its trials
+        records = _by_method(records)
+    failures = [c for c in report.headings if c not in TIMES and c != "sr"]
+    said = [c for c in OF_SUCCESSES if c in report.shares]
+    splits = [Column(s, f"SR {s}", PERCENT) for s in SPLITS if any(s in r for r in records)]
     columns = [
-        *(SPLIT, method_column(short), number_column(report, "sr")),
-        *(Column("sr", "95 %", INTERVAL), Column("sr_few", f"{report.few} new", INTERVAL)),
-        *(number_column(report, c) for c in rates),
-        *(Column(c, word, PERCENT) for c, word in OF_SUCCESSES.items() if c in report.shares),
+        *(() if wide else (SPLIT,)),
+        *(
+            method_column(short),
+            *splits,
+            number_column(report, "sr"),
+            Column("ci", "95 %", INTERVAL),
+        ),
+        *([Column("sr_scans", "SR scans", PERCENT)] if report.scans else []),
+        *(number_column(report, c) for c in failures),
+        *(Column(c, OF_SUCCESSES[c], PERCENT) for c in said),
         *([Column("invalid")] if (none := sum(map(invalid, report.rows))) else []),
     ]
-    origin = "; ".join(f"{key}: {short_digests(value)}" for key, value in report.origin.items())
-    notes = [
-        _first_failure(report.failures),
-        f"95 %: the interval of SR for more trials with these objects. {report.few} new: where the mean of {report.few}"
-        f" {report.new} lies that you bring, with 95 %.",
-        *([OF_SUCCESSES_NOTE] if any(c in report.shares for c in OF_SUCCESSES) else []),
+    left = len(records) - most
+    rest = f"{left} more methods, " if left > 0 else ""
+    known = [
         *([INVALID_NOTE] if none else []),
-        *map(plain, legend(short)),
         *report.misses,
         *map(plain, report.trained),
         *(test.sentence for test in report.turns if test.marked),
     ]
-    words = textwrap.fill(origin, NOTE, break_long_words=False, break_on_hyphens=False)
-    return document([Table(columns, records_of(report)), words, notes_list(notes)])
+    kind = "categories" if report.families else "objects"
+    of = f" {', '.join(OF_SUCCESSES[c] for c in said)}: % of successes." if said else ""
+    notes = few_notes(
+        f"F_*: % of N, first failures.{of} 95 %: the mean of all {kind}.",
+        known,
+        f"{rest}times, counts, intervals: {more}",
+    )
+    words = textwrap.shorten(_asked(report), 2 * NOTE - 10, placeholder=" ...")
+    asked = textwrap.fill(words, NOTE, break_long_words=False, break_on_hyphens=False)
+    return document([Table(columns, records[:most]), asked, notes])
+
+
+def sr_ends(row: Row) -> dict[str, float | None]:
+    """The one interval of SR of a short table under `ci`: for the mean of all categories, or objects, like these; of a single one
+    for more trials with it."""
+    rate = row.sr_new_categories or row.sr_new_objects or row.rates["sr"]
+    return rate_fields("ci", rate)
+
+
+def _by_method(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A record for each method: that of its last line (all its trials), with SR of each split."""
+    found: dict[str, dict[str, Any]] = {}
+    for record in records:
+        splits = {k: v for k, v in found.get(record["method"], {}).items() if k in SPLITS}
+        found[record["method"]] = {**splits, record["split"]: record["sr"], **record}
+    return list(found.values())
+
+
+DETAILS = ("trials digest", "device", "r2h_batch", "instances")
+"""Where rows come from, in more detail than a short table says."""
+
+
+def _asked(report: Report) -> str:
+    """What was asked and how it was judged, without digests."""
+    kept = {k: _without_digests(v) for k, v in report.origin.items() if k not in DETAILS}
+    if kept.get("benchmark") == f"--benchmark {kept.get('protocol')}":
+        del kept["benchmark"]
+    return "; ".join(f"{k}: {v}" for k, v in kept.items())
+
+
+def _without_digests(text: str) -> str:
+    return re.sub(r",? digest [0-9a-f]+", "", text)
 
 
 def _first_failure(failures: Mapping[str, CriterionEntry]) -> str:
@@ -663,7 +730,7 @@ def record(row: Row) -> dict[str, Any]:
     return fields | {f"n_{name}": n for name, n in row.counts.items() if name not in others}
 
 
-def _latex(report: Report, columns: int, intervals: bool) -> str:
+def _latex(report: Report, columns: int, *, intervals: bool, times: bool) -> str:
     if columns not in (1, 2):
         raise ValueError(f"--columns is {columns}; a page has 1 or 2")
     short = short_names([row.method for row in report.rows])
@@ -684,13 +751,26 @@ def _latex(report: Report, columns: int, intervals: bool) -> str:
     ]
     origin = "; ".join(f"{key}: {value}" for key, value in report.origin.items())
     bold = [BEST_NOTE] if best_cells(report) else []
-    notes = [origin, *legend(short), "; ".join(counts), *of, *bold, *report.notes]
-    found = (_wide if columns == 2 else _narrow)(report, short)
-    return replace(found, notes=notes).latex(intervals=intervals) + "\n"
+    kind = "categories" if report.families else "objects"
+    ends = f"Below SR: the 95 % interval for the mean of all {kind}."
+    notes = [origin, *legend(short), ends, "; ".join(counts), *of, *bold, *report.notes]
+    found = _wide(report, short, times=times) if columns == 2 else _narrow(report, short)
+    if not intervals:  # that of SR alone
+        found = replace(
+            found,
+            columns=[replace(c, ends=c.ends and c.name in ("sr", *AVG)) for c in found.columns],
+        )
+    return replace(found, notes=notes).latex(intervals=True) + "\n"
 
 
-def _wide(report: Report, short: Mapping[str, str]) -> Table:
+AVG = (*SPLITS, "Avg")
+OF_BATCH = ("t_plan_s", "t_tot_s")
+"""Times that depend on how many trials were planned at once, so that no paper's seconds compare with them."""
+
+
+def _wide(report: Report, short: Mapping[str, str], *, times: bool) -> Table:
     """All of Table I, split by split."""
+    headings = [c for c in report.headings if times or c not in OF_BATCH]
     best = best_cells(report)
     sizes: dict[str, list[int]] = {}
     for row in report.rows:
@@ -703,20 +783,29 @@ def _wide(report: Report, short: Mapping[str, str]) -> Table:
 
     columns = [
         replace(names, form=name),
-        *(number_column(report, c) for c in report.headings),
+        *(number_column(report, c) for c in headings),
         *share_columns(report),
     ]
     bold = {
         (k, c)
         for k, row in enumerate(report.rows)
-        for c in report.headings
+        for c in headings
         if (row.split, row.method, c) in best
     }
     groups = [
         (f"{split}, {'$N$ in brackets' if split in differ else f'$N={own[0]}$'}", len(own))
         for split, own in sizes.items()
     ]
-    return Table(columns, records_of(report), bold=frozenset(bold), groups=groups)
+    return Table(columns, _with_ends(report), bold=frozenset(bold), groups=groups)
+
+
+def _with_ends(report: Report) -> list[dict[str, Any]]:
+    """The records with the one interval of SR of a short table."""
+    ends = [sr_ends(row) for row in report.rows]
+    return [
+        r | {"sr_low": e["ci_low"], "sr_high": e["ci_high"]}
+        for r, e in zip(records_of(report), ends)
+    ]
 
 
 def _narrow(report: Report, short: Mapping[str, str]) -> Table:
@@ -732,7 +821,12 @@ def _narrow(report: Report, short: Mapping[str, str]) -> Table:
         group = r"Success (\%)"
         columns.append(Column(split, form=PERCENT, group=group, tex=f"{split}\n{size}", ends=True))
         for row in own:
+            ends = sr_ends(row)
             records[row.method] |= rate_fields(split, row.rates["sr"])
+            records[row.method] |= {
+                f"{split}_low": ends["ci_low"],
+                f"{split}_high": ends["ci_high"],
+            }
     bold = {
         (k, split)
         for k, method in enumerate(records)
@@ -740,6 +834,45 @@ def _narrow(report: Report, short: Mapping[str, str]) -> Table:
         if (split, method, "sr") in best
     }
     return Table(columns, list(records.values()), bold=frozenset(bold))
+
+
+LEAST = 10
+"""Trials of an object below which its rate says little."""
+
+
+def objects_brief(run: Run, more: str = "r2h-batch report RUN --by-object --full") -> str:
+    """SR of each method for the objects with `LEAST` trials or more, the hardest first, in `MOST_LINES` lines.
+
+    Args:
+        run: what `load_run` gives.
+        more: the command that prints every object.
+    """
+    short = short_names(run.methods)
+    found: dict[tuple[str, str], dict[str, Any]] = {}
+    for method in run.methods:
+        for name, row in breakdown.by_object(tally(run, method)):
+            record = found.setdefault(
+                (row.split, name), {"split": row.split, "object": name, "n": row.n}
+            )
+            record["n"] = min(record["n"], row.n)
+            record[method] = None if (rate := row.rates["sr"]) is None else rate.percent
+    often = [r for r in found.values() if r["n"] >= LEAST]
+    if not often:
+        largest = max((r["n"] for r in found.values()), default=0)
+        return (
+            f"No object has {LEAST} trials (the most is {largest}), and a rate of fewer says little: sweep with more --trials."
+            f"\nAll objects: {more}\n"
+        )
+    often.sort(key=lambda r: sum(r.get(m) or 0.0 for m in run.methods))
+    columns = [SPLIT, Column("object", "Object", left=True), Column("n", "N")]
+    columns += [Column(m, plain(short[m]), PERCENT) for m in run.methods]
+    most = MOST_LINES - NOTE_LINES - 3
+    notes = few_notes(
+        f"SR in percent, the hardest objects first: {min(most, len(often))} of {len(often)} with N of {LEAST} or more.",
+        (),
+        f"{len(found)} objects with first failures and intervals: {more}",
+    )
+    return document([Table(columns, often[:most]), notes])
 
 
 def object_lines(run: Run, fmt: str = "md") -> str:

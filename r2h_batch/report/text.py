@@ -1,10 +1,12 @@
 """Words of tables: short names of methods, shares of rows, digests."""
 
 import re
-from collections.abc import Mapping, Sequence
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from r2h_batch.base.table import NOTE, notes_list
 from r2h_batch.report.statistics.aggregate import Rate, rate_of
 
 SHORT = 16
@@ -63,3 +65,23 @@ def hits_fields(name: str, hits: np.ndarray) -> dict[str, float | None]:
 def short_digests(text: str) -> str:
     """The text with the first 12 of the 64 digits of each sha256: run.json and the other formats have them all."""
     return re.sub(r"\b([0-9a-f]{12})[0-9a-f]{52}\b", r"\1", text)
+
+
+MOST_LINES = 25
+"""Lines that `report` and `compare` print of one question; `--full` has the rest."""
+NOTE_LINES = 3
+
+
+def few_notes(columns: str, known: Iterable[str], more: str) -> str:
+    """At most `NOTE_LINES` lines: what the columns say, the first thing that must be known, and where the rest stands.
+
+    Args:
+        columns: a note of one line.
+        known: what must be known about the rows, the first one first.
+        more: what else there is, as `times and counts: r2h-batch report RUN --full`.
+    """
+    first, *others = [*known, ""]
+    shown = [columns, *([textwrap.shorten(first, NOTE - 2, placeholder=" ...")] if first else [])]
+    left = len(others) - 1
+    notes = f"{left} more note{'s' if left > 1 else ''}, " if left > 0 else ""
+    return notes_list([*shown, notes + more])

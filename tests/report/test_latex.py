@@ -43,7 +43,7 @@ def cells_of(text, columns):
 
 
 def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
-    text = report.render(paper, "latex")
+    text = report.render(paper, "latex", times=True)
     found = cells_of(text, 1 + len(report.HEADINGS) + len(paper.shares))
     assert {k: [v[place] for place in AT] for k, v in found.items()} == {
         (r["split"], r["method"]): [r[c] or "n/a" for c in COLUMNS] for r in table_1()
@@ -60,6 +60,21 @@ def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
     assert all(line.startswith("% ") for line in first.splitlines())  # provenance is there, and not on the page
     assert "protocol: made; " in first and "; trials digest: 0123456789abcdef" in first
     assert "S0 FC-Handover: N 500" in first and r"\usepackage{booktabs,siunitx}" in first
+
+
+def test_an_interval_stands_below_sr_and_times_of_a_batch_only_if_they_are_asked_for(paper):
+    text, every = report.render(paper, "latex"), report.render(paper, "latex", times=True, intervals=True)
+    head = next(line for line in text.splitlines() if line.startswith("Method &"))
+    assert "{exec}" in head and "{plan}" in head and head.count("{plan}") == 1 and "{tot}" not in head
+    assert "{tot}" in every and every.count(r"\scriptsize") > 3 * text.count(r"\scriptsize")
+    row = paper.rows[0]
+    ends = row.sr_new_categories or row.sr_new_objects
+    lines = text.splitlines()
+    below = lines[next(k for k, x in enumerate(lines) if x.startswith(f"{row.method} &")) + 1]
+    assert f"[{ends.low:.1f}, {ends.high:.1f}]" in below and below.count("scriptsize") == 1
+    assert text.count(r"\scriptsize") == len(paper.rows)
+    narrow = report.render(paper, "latex", columns=1)
+    assert narrow.count(r"\scriptsize") == len(paper.rows) and f"[{ends.low:.1f}, {ends.high:.1f}]" in narrow
 
 
 def test_both_tables_say_of_how_many_trials_each_rate_is(paper):

@@ -48,7 +48,7 @@ def test_below_the_short_form_the_whole_table_is_offered_first():
     runs = [load_run(DEFAULT)]
     short = next_commands(runs, printed="brief").splitlines()
     where = offered(runs)[0][1]
-    assert shlex.split(short[2], comments=True) == ["r2h-batch", "report", where]
+    assert shlex.split(short[2], comments=True) == ["r2h-batch", "report", where, "--full"]
     assert short[:2] + short[3:] == next_commands(runs).splitlines()
 
 

@@ -13,6 +13,7 @@ import torch
 from made_runs import command, files_of, made_trials, make_header, make_scores, store, table_1, write_run
 from rounds import each
 
+from r2h_batch.__main__ import main
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
 from r2h_batch.report.statistics.rates import OF_ALL
@@ -128,7 +129,7 @@ def test_beside_a_run_of_other_choices_the_default_ones_are_named(tmp_path, caps
         configuration = {"name": "any", "plan": asdict(PlanConfig(hand=hand)), "candidates": candidates}
         folders.append(write_run(tmp_path / name, {"m": np.zeros(4, int)}, 2, 2, configuration=configuration).folder)
     assert command("report", *folders) == 0
-    text = capsys.readouterr().out
+    text = " ".join(capsys.readouterr().out.split())
     assert "paths planned against: a: the true hand; b: the estimated hand" in text
     assert "grasp candidates: a: filtered; b: as generated" in text and "a: n/a" not in text
 
@@ -234,21 +235,57 @@ def test_what_a_sweep_prints_is_the_tables_success_and_first_failures_in_few_lin
     for row in each(rows):
         cells = dict(zip(COLUMNS, expected[row[0], row[1]], strict=True))
         assert [row[i] for i in at] == [cells[name] for name in shown]
-    assert [r[heading.index("95 %")] for r in rows] == [r[2] for r in whole[1][1:]]  # SR's, of more trials
-    assert [r[heading.index("6 new")] for r in rows] == [r[-1] for r in whole[2][1:]]
+    new = whole[2][0].index("SR new obj.")  # one interval: that of new objects like these
+    assert [r[heading.index("95 %")] for r in rows] == [r[new] for r in whole[2][1:]]
     assert len(rows) == len(whole[0]) - 1 and md_tables(text)[1:] == []
     lines = text.splitlines()
-    assert lines[2 + len(rows)] == "" and len(lines) <= len(rows) + 20 and max(map(len, lines)) <= 100
+    assert lines[2 + len(rows)] == "" and len(lines) <= 25 and max(map(len, lines)) <= 100
+    notes = lines[lines.index("", 3 + len(rows)) + 1 :]
+    assert len(notes) <= 3 and "the mean of all objects" in notes[0] and "r2h-batch report RUN --full" in notes[-1]
     said = " ".join(text.split())
-    assert all(f"{key}: {value[:12]}" in said for key, value in paper.origin.items())
-    # the paper's order; a criterion that somebody adds comes behind it
-    assert re.search(r"in the order Stability, Plan, Reach, Affordance, Safe(, \w+)*\.", said)
+    assert all(
+        f"{key}: {value}" in said for key, value in paper.origin.items() if key in ("preset", "protocol", "trials")
+    )
+    assert "digest" not in said  # programs read them: --format json
 
 
-def test_what_must_be_known_of_a_row_is_printed_with_it(paper):
+def test_what_must_be_known_of_a_row_is_printed_with_it_and_the_rest_is_counted(paper):
     more = replace(paper, misses=("It misses 3 of 10 poses.",), trained=("ours: trained on a_*",))
     said = " ".join(report.brief(more).split())
-    assert "It misses 3 of 10 poses." in said and r"trained on a\_\*" in said and "misses" not in report.brief(paper)
+    assert "It misses 3 of 10 poses." in said and "1 more note, times" in said and "misses" not in report.brief(paper)
+    alone = report.brief(replace(paper, trained=("ours: trained on a_*",)))
+    assert r"trained on a\_\*" in alone and "more note" not in alone
+
+
+@pytest.mark.parametrize("methods", [1, 6, 40])
+def test_a_report_and_its_objects_have_25_lines_whatever_there_is(tmp_path, methods, capsys):
+    rng, ends = np.random.default_rng(7), np.array([Outcome.SUCCESS, Outcome.PLAN], int)
+    rows = {f"method {k}": ends[rng.integers(0, 2, 400)] for k in range(methods)}
+    run = write_run(tmp_path / "run", rows, 200, 200)
+    for line in (["report"], ["report", "--by-object"], *([["compare"]] if methods > 1 else [])):
+        assert main([line[0], str(run.folder), *line[1:]]) == 0
+        said = capsys.readouterr().out.splitlines()
+        assert len(said) <= 25, (line, len(said))
+        assert any("--full" in part for part in said)
+        assert main([line[0], str(run.folder), *line[1:], "--full"]) == 0
+        assert len(capsys.readouterr().out.splitlines()) > len(said)
+    if methods == 40:  # a line for each method, with SR of each split
+        text = report.brief(report.table_of(run))
+        assert md_tables(text)[0][0][1:3] == ["SR S0", "SR S1"] and "24 more methods" in text
+
+
+def test_only_objects_with_ten_trials_are_shown_the_hardest_first(tmp_path):
+    rng, ends = np.random.default_rng(7), np.array([Outcome.SUCCESS, Outcome.PLAN], int)
+    run = write_run(tmp_path / "run", {m: ends[rng.integers(0, 2, 89)] for m in "ab"}, 65, 24)
+    (_, *rows), *others = md_tables(report.objects_brief(run))
+    counts = {r["object"]: r["n"] for r in json.loads(report.object_lines(run, "json"))["rows"]}
+    often = {name for name, n in counts.items() if n >= report.LEAST}
+    assert not others and {r[1] for r in rows} == often
+    rates = [float(r[3]) + float(r[4]) for r in rows]
+    assert rates == sorted(rates)
+    assert {*counts.values()} - {*range(report.LEAST, 100)}  # others have fewer
+    few = write_run(tmp_path / "few", {"a": ends[:1].repeat(6)}, 6, 0)
+    assert "No object has 10 trials" in report.objects_brief(few)
 
 
 def test_what_a_method_says_that_it_learned_from_is_text_in_markdown(paper):

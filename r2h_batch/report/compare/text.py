@@ -19,7 +19,7 @@ from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
 from r2h_batch.report.statistics.rates import RATES
 from r2h_batch.report.statistics.rates import shares as known_shares
-from r2h_batch.report.text import legend, short_names
+from r2h_batch.report.text import MOST_LINES, NOTE_LINES, few_notes, legend, short_names
 from r2h_batch.report.turn import MARK, Turned, about
 from r2h_batch.verdicts import SPLITS
 
@@ -168,6 +168,50 @@ def _ranks(c: Comparison, shown: Mapping[str, str]) -> Table:
         for name, rate in zip(c.names, c.rates, strict=True)
     ]
     return of_lines(["Method", "SR", *(f"#{i + 1}" for i in range(len(c.ranked))), "worst"], lines)
+
+
+def brief(
+    comparisons: Sequence[Comparison],
+    notes: Sequence[str] = (),
+    turns: Sequence[Turned] = (),
+    more: str = "r2h-batch compare RUN --full",
+) -> str:
+    """The pairs over all trials, with the difference in each split, in `MOST_LINES` lines. `render` has the rest.
+
+    Args:
+        comparisons: what `compare` gives.
+        notes: what a reader should know about the runs.
+        turns: turn tests of the methods.
+        more: the command that prints all of it.
+    """
+    *splits, whole = comparisons
+    shown = _marked(whole, short_names(list(whole.names)), turns)
+    of_split = {c.group: {(p.a, p.b): p.difference for p in c.pairs} for c in splits}
+    records = [
+        asdict(p) | {s: own.get((p.a, p.b)) for s, own in of_split.items()} for p in whole.pairs
+    ]
+    pair, _, ends, _, _, _, p_new, verdict = _columns(whole, shown)[1:]
+    columns = [
+        *(_columns(whole, shown)[0], pair),
+        *(Column(s, f"A-B {s}", "{value:+.1f}") for s in of_split),
+        *(Column("difference", f"A-B {whole.group}", "{value:+.1f}"), ends, p_new, verdict),
+    ]
+    most = MOST_LINES - NOTE_LINES - 5
+    left = len(records) - most
+    rest = f"{left} more pairs, " if left > 0 else ""
+    trials = (
+        f"{whole.n} trials ({', '.join(f'{c.n} {c.group}' for c in splits)})"
+        if splits
+        else f"{whole.n} trials"
+    )
+    kind = "categories" if whole.new == "categories" else "objects"
+    words = few_notes(
+        f"95 %, p new: the mean of all {kind} (p: Holm corrected). better, worse: p new < {ALPHA}.",
+        notes,
+        f"{rest}each split, ranks, shares, p here: {more}",
+    )
+    title = f"{trials}, paired on the trial id; A-B: difference of SR in points."
+    return document([Table(columns, records[:most], title=title), words])
 
 
 def _md(

@@ -63,7 +63,7 @@ def test_baselines_of_the_default_benchmark_hold_the_learned_method_and_what_it_
     found = capsys.readouterr()
     (whole,) = (c for c in json.loads(found.out) if c["group"] == "all")
     assert len(whole["names"]) == 7 and whole["ranked"].count("Learned (ranker, oracle labels + noise)") == 1
-    assert main(["compare", str(tmp_path / "mine"), "baselines"]) == 0
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--full"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "is given twice, and counted once" in text and "and 76 more objects. None of them is tested here." in text
     other = [
@@ -161,7 +161,7 @@ def test_a_small_run_is_compared_with_the_shipped_baselines_without_a_rerun(tmp_
     assert [p["a"] for p in whole["pairs"]] == ["random"] * 5 and len(whole["names"]) == 6  # each baseline once
     assert len(whole["ranked"]) == len(whole["rank"]) == 4 and not {"random", "oracle"} & set(whole["ranked"])
     assert all(p["p_holm"] <= 5 * p["p"] + 1e-12 for p in whole["pairs"])
-    assert main(["compare", str(tmp_path / "mine"), "baselines", "--all-pairs"]) == 0
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--all-pairs", "--full"]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert (
         "the first 12 S0, 12 S1, which all of them hold" in text and "random is given twice, and counted once" in text

@@ -202,10 +202,10 @@ def test_a_run_of_families_is_compared_and_reported_by_category(tmp_path, capsys
     assert (s0["categories"], s0["objects"]) == (2, 3)
     # S1's objects are one category: nothing is said about others
     assert s1["pairs"][0]["low"] is None and s1["worst"] is None and s1["categories"] == 1
-    assert command("compare", tmp_path / "a") == 0
+    assert command("compare", tmp_path / "a", full=True) == 0
     said = capsys.readouterr().out
     assert "95 % all cat." in said and "6 new" in said and "categories and their objects" in said
-    assert command("report", tmp_path / "a") == 0
+    assert command("report", tmp_path / "a", full=True) == 0
     assert "SR new cat." in capsys.readouterr().out
     assert command("report", tmp_path / "a", format="csv") == 0
     (line, *_) = capsys.readouterr().out.splitlines()[1:]
@@ -246,7 +246,7 @@ def test_a_run_that_is_given_twice_is_counted_once(tmp_path, capsys):
         assert command("compare", first, second, format="json") == 0
         captured = capsys.readouterr()
         assert json.loads(captured.out) == once and captured.err.count("is given twice") == 2
-    assert command("compare", first, tmp_path / "copy") == 0
+    assert command("compare", first, tmp_path / "copy", full=True) == 0
     assert " ".join(capsys.readouterr().out.split()).count("is given twice, and counted once") == 2
     assert command("compare", first, tmp_path / "other", format="json") == 0
     assert json.loads(capsys.readouterr().out)[2]["names"] == ["m", "n", "other/m"]
