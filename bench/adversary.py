@@ -146,8 +146,8 @@ def attacked(name: str, options: argparse.Namespace, report: Report) -> None:
     A, B = drawn(evaluator, trials, options.poses, g)
     passes = []
     for lo in range(0, len(trials), 8):  # a call of some thousand rows
-        s = evaluator.score(A[lo : lo + 8], B[lo : lo + 8], trials[lo : lo + 8], stages="pose")
-        passes.append((s.success.view(-1, options.poses), s.body_m.view(-1, options.poses)))
+        scores = evaluator.score(A[lo : lo + 8], B[lo : lo + 8], trials[lo : lo + 8], stages="pose")
+        passes.append((scores.success.view(-1, options.poses), scores.body_m.view(-1, options.poses)))
     success, body_m = (torch.cat(x) for x in zip(*passes, strict=True))
     report.add(f"adversary.{name}.pass_share", float(success.double().mean()))
     found: dict[str, list[Found]] = {aim: [] for aim in AIMS}

@@ -27,8 +27,9 @@ def main(argv: list[str] | None = None) -> dict[str, float]:
     trials = benchmark.trials(args.trials)
     evaluator = Evaluator(benchmark, threads=1)
     start = predict(trials, evaluator.scene, seed=1)
-    network = nn.Sequential(nn.Linear(36, 128), nn.SiLU(), nn.Linear(128, 128), nn.SiLU(), nn.Linear(128, 6))
-    nn.init.zeros_(network[-1].weight), nn.init.zeros_(network[-1].bias)  # it begins with the poses as they are
+    last = nn.Linear(128, 6)
+    network = nn.Sequential(nn.Linear(36, 128), nn.SiLU(), nn.Linear(128, 128), nn.SiLU(), last)
+    nn.init.zeros_(last.weight), nn.init.zeros_(last.bias)  # it begins with the poses as they are
     adam = torch.optim.Adam(network.parameters(), lr=2e-3)
     scale = torch.tensor([0.1, 0.1, 0.1, 1.0, 1.0, 1.0])  # a twist: three metres, then three radians
 
