@@ -129,11 +129,7 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
         },
     )
     report(tree)
-    tree.write_docs()
-    assert (
-        "`passed_centred`, `passed_pick`, `passed_received` | bool"
-        in (tree.folder / "docs" / "run_folder.md").read_text()
-    )
+    assert "`passed_centred`, `passed_pick`, `passed_received` | bool" in tree.tables_of_columns()
     assert tree.run(READ + "\nsys.exit()") == shipped
     tree.run(READ + USE_CENTRED)
     tree.passes(*OF_A_CRITERION, *OF_A_COLUMN)
@@ -492,8 +488,7 @@ def test_a_strangers_package_adds_a_criterion_a_share_a_family_and_a_protocol_wi
         },
     )
     report(tree)
-    tree.write_docs()
-    assert "`margin_upright_deg` | float32 | deg" in (tree.folder / "docs" / "run_folder.md").read_text()
+    assert "`margin_upright_deg` | float32 | deg" in tree.tables_of_columns()
     assert tree.run(READ + "\nassert 'torch' not in sys.modules\nsys.exit()") == shipped
     for use in (USE_UPRIGHT, USE_SLOW, f"FAMILY = 'vase'\n{USE_VASE}{LISTED_VASE}", f"NAME = 'near'\n{USE_NEAR}"):
         tree.run(f"{READ}\n{use}")

@@ -1,19 +1,18 @@
-"""Writes the tables of docs/run_folder.md from the table of columns: `python tools/columns.py [--check]`.
+"""The tables of columns: `python tools/columns.py` prints them, the site has them on its page of files (`hooks` in mkdocs.yml).
 
-Each table stands between `<!-- columns KIND -->` and `<!-- end -->`. `--check` changes nothing and ends with 1 where
-the page differs.
+A comment `<!-- columns KIND -->` of docs/run_folder.md is the place of a table.
 """
 
 import re
 import sys
 from itertools import groupby
-from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
 from r2h_batch.runs.columns import TABLES, Column
 
-PAGE = Path(__file__).resolve().parents[1] / "docs" / "run_folder.md"
+PLACE = re.compile(r"<!-- columns (\w+) -->")
 
 
 def shown(kind: pa.DataType) -> str:
@@ -35,24 +34,15 @@ def table(columns: tuple[Column, ...]) -> str:
     return "\n".join(lines)
 
 
-def page(text: str) -> str:
-    """The page's text with the tables of today."""
-
-    def today(found: re.Match[str]) -> str:
-        return f"{found[1]}\n\n{table(TABLES[found[2]])}\n\n{found[3]}"
-
-    return re.sub(r"(<!-- columns (\w+) -->).*?(<!-- end -->)", today, text, flags=re.DOTALL)
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """A page with the table of columns at each place for one."""
+    return PLACE.sub(lambda found: table(TABLES[found[1]]), markdown)
 
 
 def main() -> int:
     """The exit code."""
-    before = PAGE.read_text(encoding="utf-8")
-    after = page(before)
-    if "--check" in sys.argv[1:]:
-        if before != after:
-            print(f"{PAGE}: differs from r2h_batch/runs/columns.py; run python tools/columns.py", file=sys.stderr)
-        return int(before != after)
-    PAGE.write_text(after, encoding="utf-8")
+    for kind, columns in TABLES.items():
+        print(f"{kind}\n\n{table(columns)}\n")
     return 0
 
 

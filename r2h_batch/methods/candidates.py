@@ -169,7 +169,11 @@ class CandidateTable:
         """Rows of the K candidates of each trial's object, and which of them exist (the others
         repeat the first).
 
-        Raises `NoGraspError` where an object has none.
+        Args:
+            object_index: (b,) the object of each trial.
+
+        Raises:
+            NoGraspError: an object has none.
         """
         o = object_index.long()
         if self.some_have_none and bool((self.count[o] == 0).any()):

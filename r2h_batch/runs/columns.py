@@ -1,6 +1,6 @@
 """The table of stored columns: name, type, unit, meaning, and the version that stored it first.
 
-Schemas (`schema_of_kind`), the reading of older rows (`later`) and the tables of docs/run_folder.md
+Schemas (`schema_of_kind`), the reading of older rows (`later`) and the tables of the site's page of files
 (`tools/columns.py`) follow it. A new column is one entry here. Its value is the attribute of `Scores`
 with its name, unless `runs/rows.py` makes it from several.
 """
@@ -36,7 +36,7 @@ class Column(NamedTuple):
     Attributes:
         name: in the Parquet file.
         type: in the Parquet file, for an arm of six joints.
-        meaning: one or two sentences for docs/run_folder.md.
+        meaning: one or two sentences for the page of files.
         unit: m, s, deg, rad, m/s, N, years; empty: it has none.
         nullable: whether a row may lack a value.
         since: the first version of the package that stores it; empty: every version does. Rows of older
@@ -72,7 +72,7 @@ def _asked(entry: CriterionEntry) -> str:
 
 
 # fmt: off
-_ID = Column("trial_id", pa.int64(), "number of the trial, in the protocol's order", nullable=False)
+_ID = Column("trial_id", pa.int64(), "number of the trial, in the benchmark's order", nullable=False)
 _OBJECT = Column("object", NAME, "name of the object", nullable=False)
 _HAND = Column("hand_index", pa.int32(), "row of the hand set", nullable=False)
 _OPENING = Column("opening_m", FLOAT, "gap between the pads on the object", "m")

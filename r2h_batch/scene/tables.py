@@ -128,7 +128,12 @@ class Hands:
         return faces, first.astype(np.int32), ball
 
     def piece_points(self, hand: int, piece: int) -> NDArray[np.float32]:
-        """Hull points of one convex piece of one hand, hand frame."""
+        """Hull points of one convex piece of one hand, hand frame.
+
+        Args:
+            hand: row of the hand set.
+            piece: place among `model.piece_names`.
+        """
         offsets = self.set.hull_offsets
         at = hand * len(self.model.piece_names) + piece
         return self.vertices[

@@ -9,8 +9,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = ("r2h_batch", "kernels", "assets", "docs", "tools")
-COPIED = ("docs/run_folder.md", "tools/columns.py", "r2h_batch/base/package.py")
-"""The page that is made from the columns, and files that find others beside themselves: never links."""
+COPIED = ("r2h_batch/base/package.py",)
+"""Files that find others beside themselves: never links."""
 
 
 @dataclass(frozen=True)
@@ -52,10 +52,11 @@ class Tree:
         )
         assert done.returncode == 0 and " passed" in done.stdout, done.stdout[-4000:] + done.stderr[-2000:]
 
-    def write_docs(self) -> None:
-        """`python tools/columns.py`, as CONTRIBUTING asks for."""
+    def tables_of_columns(self) -> str:
+        """What `python tools/columns.py` prints: the tables that the site has."""
         environment = {**os.environ, "PYTHONPATH": str(self.folder)}
-        subprocess.run([sys.executable, "tools/columns.py"], env=environment, cwd=self.folder, check=True)
+        line = [sys.executable, "tools/columns.py"]
+        return subprocess.run(line, env=environment, cwd=self.folder, check=True, capture_output=True, text=True).stdout
 
 
 HEAD = """
