@@ -1,6 +1,6 @@
 """The tables of what a method is given: `python tools/fields.py` prints them, the site has them (`hooks` in mkdocs.yml).
 
-They are read from the docstrings of the classes. A comment `<!-- fields NAME -->` of docs/reference/fields.md is the place of a table.
+They are read from the docstrings of the classes. `<!-- fields NAME -->` of docs/reference/fields.md is the place of a table.
 """
 
 import ast
