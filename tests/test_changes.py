@@ -299,7 +299,7 @@ for method in run.methods:
     assert s0["f_upright_of"] == len(own) == 18 and s0["n"] == 36 and abs(s0["f_upright"] - 100 * failed / 18) < 1e-9
     assert s1["f_upright"] is None and abs(mean["f_upright"] - s0["f_upright"]) < 1e-9
 for form, words in (("md", "F_upright"), ("latex", "{upright}"), ("html", "F_upright"), ("csv", "f_upright_of")):
-    assert words in (text := said(f"report run --format {form}")), form
+    assert words in (text := said(f"report run --format {form}{' --full' if form == 'md' else ''}")), form
     if form != "csv":
         assert "whose object the criterion concerns" in " ".join(text.split()) and "margins are in deg" in " ".join(text.split())
 page = said("report run --format html")
@@ -317,6 +317,8 @@ old = shipped.trials(shipped.methods[0])
 assert old["passed_upright"].null_count == old["margin_upright_deg"].null_count == len(old) == 1000
 assert '"sr"' in said(f"report {FOLDERS[1]} --format json")
 assert "lack upright (since strange 1.0)" in said("compare run baselines")
+assert "upright (since strange 1.0) never judged 1000 rows of" in " ".join(said(f"report {FOLDERS[1]} --full").split())
+assert "criterion upright (strange 1.0), which did not judge it" in said(f"why {FOLDERS[1]} 0")
 
 # in Python: the unit, rewards in metres, and a gradient like that of a small turn
 benchmark = load_benchmark("r2h-v0")

@@ -27,6 +27,7 @@ from r2h_batch.config import PRESENTED_M, ExecutionError, ObjectErrors
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
 from r2h_batch.report.statistics.aggregate import Rate, Row, summarise
+from r2h_batch.report.statistics.codes import never_judged
 from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
 from r2h_batch.report.statistics.paired import BOUNDS
@@ -133,6 +134,7 @@ class Report:
         scans: the lines of the same methods on the reader's own objects, by split and method.
         bounds: methods that are bounds (random, oracle): none of their cells is best.
         trained: what methods that learned were trained on, a sentence each.
+        unjudged: criteria that did not judge rows, or whose package is not installed, a sentence each.
     """
 
     rows: tuple[Row, ...]
@@ -143,6 +145,7 @@ class Report:
     scans: Mapping[tuple[str, str], Row] = field(default_factory=dict)
     bounds: tuple[str, ...] = ()
     trained: tuple[str, ...] = ()
+    unjudged: tuple[str, ...] = ()
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -162,6 +165,7 @@ class Report:
             *map(self._partial, PARTIAL),
             *families,
             *(scans if own else []),
+            *self.unjudged,
             *self.misses,
             *self._no_longer(),
             *self.trained,
@@ -291,7 +295,22 @@ def table_of(
         beside,
         bounds,
         sentences(run),
+        _unjudged(run, rows),
     )
+
+
+def _unjudged(run: Run, rows: Sequence[Row]) -> tuple[str, ...]:
+    """A sentence for each criterion of a package that came after rows were judged, or that is not installed any more."""
+    gone = [words for words in run.lacking if words.startswith("criterion ")]
+    sentences_of = never_judged(run)
+    for method in run.methods if gone else ():
+        own = [row for row in rows if row.method == method and row.split in SPLITS]
+        if lost := sum(row.counts[ELSEWHERE] for row in own):
+            sentences_of.append(
+                f"{lost} of {sum(row.n for row in own)} rows of {method} failed {' or '.join(gone)}, not installed here: SR"
+                " counts them as failed."
+            )
+    return tuple(sentences_of)
 
 
 def _without(row: Row, share: str) -> Row:
@@ -613,6 +632,7 @@ def brief(report: Report, more: str = "r2h-batch report RUN --full") -> str:
     left = len(records) - most
     rest = f"{left} more methods, " if left > 0 else ""
     known = [
+        *map(plain, report.unjudged),
         *([INVALID_NOTE] if none else []),
         *report.misses,
         *map(plain, report.trained),
@@ -699,7 +719,7 @@ def _md(report: Report) -> str:
         tables.append(Table([*first, *own, Column(f"{name}_of", "of")], known, title=share.caption))
     origin = "  \n".join(f"{k}: {short_digests(value)}" for k, value in report.origin.items())
     notes = (
-        plain(n) if n in report.trained else n for n in report.notes
+        plain(n) if n in (*report.trained, *report.unjudged) else n for n in report.notes
     )  # a method's own words are a stranger's
     return document([origin, *tables, notes_list([*map(plain, legend(short)), *notes])])
 

@@ -103,6 +103,7 @@ def _run(
     log_to: Callable[[Path], None],
     command: list[str],
 ) -> int:
+    from r2h_batch.base.io.read import printable
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.header import motions_left_out
     from r2h_batch.runs.store import write_labels
@@ -136,7 +137,12 @@ def _run(
         size = sweep.shard_trials or (shard_size(setting, jobs) if new else 0)
         # the first of two sweeps that start together decides the shard size; the other takes it
         header = {**setting.header, "command": command, "shard_trials": size}
-        folder = open_run(out, header, exact=bool(sweep.shard_trials))
+        try:
+            folder = open_run(out, header, exact=bool(sweep.shard_trials))
+        except RunError as error:
+            if changed := setting.files.changed(out):
+                raise RunError(f"{error}; {printable(', '.join(changed))} changed since") from None
+            raise
         log_to(folder.folder / setting.own_file("log.txt"))
         setting.files.copy_into(folder.folder)
         if setting.labels:

@@ -73,6 +73,18 @@ class RunFiles:
                 shutil.copyfile(file, temporary)
                 sync_file(temporary)
 
+    def changed(self, run: Path) -> list[str]:
+        """The files that are in a run folder with another content.
+
+        Args:
+            run: the run folder.
+        """
+        return [
+            str(file)
+            for place, file in self.copied.items()
+            if (run / place).is_file() and sha256_of(run / place) != sha256_of(file)
+        ]
+
     def lines(self) -> list[str]:
         """A line for each file that is left out."""
         return [

@@ -19,6 +19,8 @@ def why(run: Path, trial: str, /, *, method: str = "", code: tuple[str, ...] = (
         method: the sweep's word (fc) or the table's name; without it a line for each method, and all of the only one.
         code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
     """
+    from r2h_batch.base.io.read import printable
+    from r2h_batch.runs.plugged import criteria_since
     from r2h_batch.runs.store import load_run
 
     stored = load_run(run)
@@ -29,8 +31,11 @@ def why(run: Path, trial: str, /, *, method: str = "", code: tuple[str, ...] = (
     from r2h_batch.view.stored import Reader
 
     reader = Reader(stored, code)
+    other = ", ".join(criteria_since(stored.header))
     for k, name in enumerate(names):
         print(("\n" if k else "") + str(explanation(reader, number, name)))
+        if other:  # the verdict is that of then
+            print(f"  {'criteria:':<12}{printable(other)}")
     return 0
 
 

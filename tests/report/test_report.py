@@ -16,6 +16,7 @@ from rounds import each
 from r2h_batch.__main__ import main
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
+from r2h_batch.report.statistics import codes
 from r2h_batch.report.statistics.rates import OF_ALL
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
@@ -286,6 +287,20 @@ def test_only_objects_with_ten_trials_are_shown_the_hardest_first(tmp_path):
     assert {*counts.values()} - {*range(report.LEAST, 100)}  # others have fewer
     few = write_run(tmp_path / "few", {"a": ends[:1].repeat(6)}, 6, 0)
     assert "No object has 10 trials" in report.objects_brief(few)
+
+
+def test_sr_says_how_many_rows_a_criterion_that_came_later_never_judged(tmp_path, monkeypatch, capsys):
+    run = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4)
+    words = "centred (since strange 1.0) never judged 16 rows of a, b: SR counts as successes some that may fail it."
+    assert report.table_of(run).unjudged == ()
+    later = codes.REGISTRY[0]._replace(name="centred", since="strange 1.0")
+    monkeypatch.setattr(codes, "REGISTRY", (*codes.REGISTRY, later))
+    monkeypatch.setattr(codes, "CRITERIA", (*codes.CRITERIA, "centred"))
+    assert codes.never_judged(run) == [words] == list(report.table_of(run).unjudged)
+    assert words in json.loads(report.render(report.table_of(run), "json"))["notes"]
+    assert "centred (since strange 1.0) never judged 16 rows of a, b" in report.brief(report.table_of(run))
+    assert main(["compare", str(run.folder)]) == 0
+    assert "never judged 16 rows of a, b" in " ".join(capsys.readouterr().out.split())
 
 
 def test_what_a_method_says_that_it_learned_from_is_text_in_markdown(paper):

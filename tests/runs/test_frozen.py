@@ -12,6 +12,7 @@ from made_runs import write_run
 from r2h_batch.__main__ import main
 from r2h_batch.report.table import table_of
 from r2h_batch.runs.store import join, load_run
+from r2h_batch.verdicts import ELSEWHERE
 
 FROZEN = Path(__file__).resolve().parents[1] / "frozen"
 PLUGGED = "plugged"
@@ -109,3 +110,18 @@ def test_a_criterion_and_a_share_that_are_not_installed_are_told_in_one_line(run
     for row in (r for r in rows if r["split"] != "Avg"):  # its verdicts stay
         own = DIGESTS[PLUGGED][row["method"]]["outcomes"].split()[slice(*{"S0": (0, 8), "S1": (8, 16)}[row["split"]])]
         assert row["sr"] == 100 * own.count("success") / 8
+
+
+@pytest.mark.parametrize("run", [PLUGGED], indirect=True)
+def test_a_table_and_a_reason_say_what_a_criterion_that_is_gone_decided(run, capsys):
+    lost = {m: o["outcomes"].split().count(ELSEWHERE) for m, o in DIGESTS[PLUGGED].items()}
+    assert main(["report", str(run), "--format", "json"]) == 0
+    notes = json.loads(capsys.readouterr().out)["notes"]
+    for method, n in lost.items():
+        words = f"{n} of 16 rows of {method} failed criterion centred (strange 1.0), not installed here: SR counts them"
+        assert any(note.startswith(words) for note in notes) == bool(n)
+    assert any(lost.values())
+    assert main(["report", str(run)]) == 0
+    assert "failed criterion centred (strange 1.0)" in capsys.readouterr().out
+    assert main(["why", str(run), "0"]) == 0
+    assert "criterion centred (strange 1.0), which is not installed" in capsys.readouterr().out

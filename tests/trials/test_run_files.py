@@ -201,3 +201,15 @@ def test_a_run_that_was_moved_is_reported_explained_and_judged_again_without_its
     (run / "benchmark").symlink_to(files)
     with pytest.raises(FileError, match="a symbolic link; a run folder holds its own files"):
         read_header(run)
+
+
+def test_a_sweep_that_goes_on_with_a_file_that_changed_names_the_file(tmp_path, capsys):
+    mesh = tmp_path / "brick.obj"
+    trimesh.creation.box((0.03, 0.06, 0.16)).export(mesh)
+    line = ["sweep", "--method", "random", "--object-mesh", str(mesh), "--benchmark", "r2h-v1", "--splits", "S0"]
+    line += ["--trials", "7", "--execute.sim", "none", "--quiet", "--out", str(tmp_path / "run")]
+    assert main(line) == 0
+    trimesh.creation.box((0.03, 0.06, 0.15)).export(mesh)
+    capsys.readouterr()
+    assert main(line) == 2
+    assert f"choose another --out; {mesh} changed since" in capsys.readouterr().err

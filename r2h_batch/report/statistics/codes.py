@@ -47,6 +47,24 @@ def judged_by(run: Run, method: str) -> tuple[str, ...]:
     return (*(name for name in CRITERIA if f"passed_{name}" in columns), *run.asks)
 
 
+def never_judged(run: Run) -> list[str]:
+    """A sentence for each criterion that is known here and that did not judge rows of a run: how many, and what SR makes of them.
+
+    Args:
+        run: what `load_run` or `join` gives.
+    """
+    judged = {method: judged_by(run, method) for method in run.methods}
+    found = []
+    for entry in (e for e in REGISTRY if e.name in CRITERIA):
+        methods = [method for method, own in judged.items() if entry.name not in own]
+        if n := sum(sum(run.planned(method).values()) for method in methods):
+            found.append(
+                f"{entry.name} (since {entry.since}) never judged {n} rows of {', '.join(methods)}: SR counts as successes some"
+                " that may fail it."
+            )
+    return found
+
+
 def first_failures(
     state: Mapping[str, np.ndarray],
     split: np.ndarray,

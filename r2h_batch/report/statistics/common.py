@@ -10,7 +10,7 @@ from typing import Any
 from r2h_batch.base.registry import FOREIGN, is_drawn
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
-from r2h_batch.report.statistics.codes import judged_by
+from r2h_batch.report.statistics.codes import judged_by, never_judged
 from r2h_batch.runs.before import has_head
 from r2h_batch.runs.plugged import other_criteria
 from r2h_batch.runs.store import Run
@@ -109,11 +109,13 @@ def common_trials(
 
 
 def _lacking(runs: Sequence[Run]) -> list[str]:
-    """A note for each run whose rows are older than a criterion by which another run was judged."""
+    """A note for each run whose rows are older than a criterion by which another run was judged, or that is known here."""
     since = {entry.name: entry.since for entry in REGISTRY}
     judged = [{name for m in run.methods for name in judged_by(run, m)} for run in runs]
     notes = []
     for run, own in zip(runs, judged, strict=True):
+        if not any(c in other for c in CRITERIA if c not in own for other in judged):
+            notes += never_judged(run)
         if lacks := [c for c in CRITERIA if c not in own and any(c in other for other in judged)]:
             named = ", ".join(f"{c} (since {since[c]})" for c in lacks)
             notes.append(

@@ -112,7 +112,9 @@ def rethreshold(
         safe_margin: distance that the robot must keep from the hand, at most 0.0499.
         method: only these methods, by the sweep's word (fc) or the table's name; by default all.
     """
+    from r2h_batch.base.table import notes_list, plain
     from r2h_batch.report.statistics import thresholds
+    from r2h_batch.report.statistics.codes import never_judged
     from r2h_batch.runs.store import load_run
 
     grid = {
@@ -124,4 +126,6 @@ def rethreshold(
     if not stored.methods:
         raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
     sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
+    if words := never_judged(stored):
+        print(notes_list(map(plain, words)))
     return 0
