@@ -37,7 +37,7 @@ EARLIER = frozenset(
         *("observe_export", "registry_arms"),
     }
 )
-"""Benches that were measured before subjects went from the package and files moved (CHANGELOG, Gone), and not since. The first
+"""Benches that were measured before subjects went from the package and files moved (CHANGELOG, Removed), and not since. The first
 two lines are rates, two hours of them, the others times and sizes. bench/SOURCES.md names each with its commit. Outcomes
 of golden and of all published rows are the same since, but for Received, which has the object in another place: r2h_v3 and a line
 of learn. Whoever measures one takes it out."""
