@@ -225,3 +225,17 @@ def test_the_help_of_each_command_fits_on_a_screen_and_says_where_the_rest_is(mo
 )
 def test_one_of_many_things_is_named_in_the_singular(number, things, said):
     assert counted(number, things) == said
+
+
+def test_too_little_address_space_is_told_in_a_line_before_the_work():
+    code = (
+        "import resource as r; r.setrlimit(r.RLIMIT_AS, (MOST, -1)); from r2h_batch.__main__ import main;"
+        " main(['ls', 'runs', '/nowhere'])"
+    )
+    said = []
+    for limit in ("3 << 30", "-1"):
+        line = [sys.executable, "-c", code.replace("MOST", limit)]
+        said.append(subprocess.run(line, capture_output=True, text=True, timeout=100).stderr.splitlines())
+    words = "`ulimit -v` allows 3.0 GiB of address space, and 4 GiB may be needed; raise it (`ulimit -v unlimited`)"
+    assert said[0][0] == f"ls: {words} if the command fails"
+    assert not any("ulimit" in line for line in said[1])

@@ -13,6 +13,7 @@ import io
 import itertools
 import os
 import re
+import resource
 import sys
 import traceback
 import warnings
@@ -31,6 +32,8 @@ from r2h_batch.base.validate import expand_home, parse_number, parse_whole_numbe
 Command = Callable[..., Any]
 
 MOST_SEED = (1 << 63) - 1
+LEAST_BYTES = 4 << 30
+"""Address space that a command may need: at 2 GiB a sweep of four trials fails, at 3.8 GiB it does not."""
 HELP_ALL = "--help-all"
 """As --help, with the flags of a group (a dataclass) too: without them the help of a command fits on a screen."""
 
@@ -193,6 +196,7 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
         sys.stderr = open(os.devnull, "w")  # noqa: SIM115 (as long as the process; print(file=None) would be stdout)
     if sys.stdout is None:
         return refuse(name, "standard output is closed; give it a terminal, a file or a pipe", 1)
+    _tell_little_memory(name)
     kept, code, stopped = _Kept(sys.stdout), 0, None
     try:
         with contextlib.redirect_stdout(kept), _warnings_in_a_line(name), not_silent(name):
@@ -222,6 +226,14 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
     if stopped is not None:
         raise stopped
     return code
+
+
+def _tell_little_memory(name: str) -> None:
+    """One line where the shell allows too little address space: libraries in C may end the process without a word of ours."""
+    allowed, _ = resource.getrlimit(resource.RLIMIT_AS)
+    if allowed not in (0, resource.RLIM_INFINITY) and allowed < LEAST_BYTES:
+        words = f"`ulimit -v` allows {allowed / 2**30:.1f} GiB of address space, and {LEAST_BYTES >> 30} GiB may be needed"
+        LOG.info(f"{name}: {words}; raise it (`ulimit -v unlimited`) if the command fails")
 
 
 @contextlib.contextmanager

@@ -18,11 +18,10 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
-from uuid import uuid4
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import kind_of, printable, read_file
-from r2h_batch.base.io.write import packed_json
+from r2h_batch.base.io.write import naming, packed_json, writer_is_gone, writers_name
 
 MOST_CLAIM_BYTES = 1000
 
@@ -47,7 +46,7 @@ def sha256_of(path: Path) -> str:
 
 def temporary_name(path: Path) -> Path:
     """A unique hidden name beside `path` that no reader takes for a finished file."""
-    return path.with_name(f".{path.name}.{uuid4().hex}.tmp")
+    return path.with_name(f".{path.name}.{writers_name()}.tmp")
 
 
 def sync_file(path: Path) -> None:
@@ -96,26 +95,40 @@ def _write_json(
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = temporary_name(path)
     try:
-        with temporary.open("w", encoding="utf-8") as file:
-            file.write(packed_json(data) + "\n")
-            file.flush()
-            os.fsync(file.fileno())
-        return give_name(temporary, path)
+        with naming(path, temporary):
+            with temporary.open("w", encoding="utf-8") as file:
+                file.write(packed_json(data) + "\n")
+                file.flush()
+                os.fsync(file.fileno())
+            return give_name(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
 
 
-_TEMPORARY = re.compile(r"\.(.+\.[0-9a-f]{32}\.tmp|[0-9a-f]{12}\.tmp(\.\w+)?)")
+_TEMPORARY = re.compile(r"\.(?:.+\.([0-9a-f]{32})\.tmp|([0-9a-f]{12}|[0-9a-f]{32})\.tmp(?:\.\w+)?)")
 
 
-def drop_remains(*places: Path) -> None:
-    """Remove from folders the temporary files of writers that were killed (`REMAINS_S`)."""
+def drop_remains(*places: Path) -> list[str]:
+    """Remove from folders the temporary files of writers that were killed: of processes that are gone, and on other machines
+    once they are old (`REMAINS_S`).
+
+    Returns:
+        One line for each that was found and whose writer is not at work in this process.
+    """
+    lines = []
     for place in places:
-        for path in place.glob(".*.tmp*") if place.is_dir() else ():
+        for path in sorted(place.glob(".*.tmp*")) if place.is_dir() else ():
+            if (found := _TEMPORARY.fullmatch(path.name)) is None:
+                continue
             with suppress(OSError):  # another process was faster, or the folder is read-only
-                old = time.time() - path.lstat().st_mtime > REMAINS_S
-                if old and _TEMPORARY.fullmatch(path.name):
+                writer = found[1] or found[2]
+                gone = len(writer) == 32 and writer_is_gone(writer)
+                if gone or time.time() - path.lstat().st_mtime > REMAINS_S:
                     path.unlink()
+                    lines.append(
+                        f"{printable(path)}: half written by a process that is gone; removed"
+                    )
+    return lines
 
 
 def _open_own(path: Path) -> int:

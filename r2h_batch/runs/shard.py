@@ -28,6 +28,7 @@ from pydantic import Field
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import check_decoded_size
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.io.write import naming
 from r2h_batch.runs.columns import TABLES, earlier, later
 from r2h_batch.runs.files import (
     RunError,
@@ -387,12 +388,17 @@ def write_shard(
     place.mkdir(parents=True, exist_ok=True)
     temporary = temporary_name(place / shard.name)
     try:
-        pq.write_table(
-            whole, temporary, row_group_size=max(len(whole), 1), compression="zstd",
-            compression_level=6, use_dictionary=words, column_encoding=encoding,
-            write_page_checksum=True,
-        )  # fmt: skip
-        sync_file(temporary)
+        with naming(place / f"{shard.name}.parquet", temporary):
+            pq.write_table(
+                whole, temporary, row_group_size=max(len(whole), 1), compression="zstd",
+                compression_level=6, use_dictionary=words, column_encoding=encoding,
+                write_page_checksum=True,
+            )  # fmt: skip
+            sync_file(temporary)
+        if what := _unreadable(StoredShard(temporary, dict(header), method, shard)):
+            raise RunError(
+                f"{place}: shard {shard.index} of {method!r} cannot be read again ({what}); nothing was stored"
+            )
         if any(place.glob(f"{shard.name}-*.parquet")):
             return False
         final = place / f"{shard.name}-{sha256_of(temporary)[:16]}.parquet"
@@ -405,6 +411,17 @@ def write_shard(
         return first == final
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _unreadable(stored: StoredShard) -> str:
+    """What a reader will say of a shard; empty where it takes all of it."""
+    try:
+        stored.receipt()
+        for kind in stored.kinds:
+            stored.table(kind, schema_of(stored.header, kind).names)
+    except RunError as error:
+        return str(error).removeprefix(f"{stored.path}: ")
+    return ""
 
 
 def _struct(table: pa.Table, trial_id: pa.ChunkedArray) -> pa.Array:

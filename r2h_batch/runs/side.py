@@ -58,6 +58,8 @@ def write_side(path: Path, table: pa.Table, about: Mapping[str, Any] | None = No
     metadata = None if about is None else {MADE_OF: json.dumps(about)}
     with atomic_path(path) as new:
         pq.write_table(table.replace_schema_metadata(metadata), new, write_page_checksum=True)
+        if what := unbounded(new, len(table)):
+            raise RunError(f"{printable(path)}: cannot be read again ({what}); nothing was stored")
 
 
 def made_of(path: Path) -> dict[str, Any]:

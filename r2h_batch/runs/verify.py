@@ -140,6 +140,18 @@ def first_problem(folder: Path, entries: Sequence[Entry]) -> str:
     return ""
 
 
+def remains(folder: Path, header: dict[str, Any]) -> list[str]:
+    """Removes what writers that were killed have left half-written; one line for each file.
+
+    Args:
+        folder: the run folder.
+        header: run.json.
+    """
+    places = [shard_folder(folder, e.slug) for e in read_methods(folder, header)]
+    beside = [folder / name for name in QUESTIONS]
+    return drop_remains(folder, folder / "methods", folder / "benchmark", *places, *beside)
+
+
 def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
     """Rename everything that cannot be trusted to FILE.bad, so that the sweep scores it again. What writers that were killed
     left half-written is removed.
@@ -151,8 +163,7 @@ def mark_for_rerun(folder: Path, header: dict[str, Any]) -> list[str]:
         One line for each file.
     """
     entries = {e.name: e for e in read_methods(folder, header)}
-    places = [shard_folder(folder, e.slug) for e in entries.values()]
-    drop_remains(folder, folder / "methods", *places, *(folder / name for name in QUESTIONS))
+    remains(folder, header)
     seen = problems_of(entries.values())
     lines = [set_aside(p) for p in seen if p.shard is None]
     for method, shard in dict.fromkeys((p.method, p.shard) for p in seen if p.shard is not None):

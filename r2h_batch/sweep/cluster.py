@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO, cast
 
 from r2h_batch.base.command_line import refuse
 from r2h_batch.base.errors import AnswerError, MachineError
@@ -185,6 +185,7 @@ class Pool:
     busy: dict[Any, tuple[Any, Task]] = field(default_factory=dict)  # result ref -> actor, task
     idle: list[Any] = field(default_factory=list)
     deaths: int = 0  # since the last actor that came up
+    nodes: int = 0  # that were alive when they were counted last
 
     def fill(self, size: int) -> None:
         """Start as many actors as are missing."""
@@ -216,6 +217,8 @@ def score_on_ray(work: Scoring) -> dict[str, int]:
     methods as `score_local` does.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
+    if not work.setting.sweep.address:  # on 127.0.0.1: nobody else is to reach what runs code
+        os.environ.setdefault("RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER", "0")
     import ray
 
     for job in work.jobs:  # compiles the kernels once, before several processes would
@@ -224,8 +227,29 @@ def score_on_ray(work: Scoring) -> dict[str, int]:
     todo = deque((j.name, s) for j in work.jobs for s in folder.todo(j.name, part))
     if not todo:
         return {}
-    with contextlib.redirect_stdout(sys.stderr):  # Ray's threads print; stdout is for the table
+    # Ray's threads print; stdout is for the table
+    with (
+        contextlib.redirect_stderr(cast("TextIO", NotOfRay(sys.stderr))),
+        contextlib.redirect_stdout(sys.stderr),
+    ):
         return _on_cluster(ray, work, todo)
+
+
+class NotOfRay:
+    """A stream without what Ray's own threads print, such as twenty lines of a dead node's log; what happened is told."""
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Writes, unless a thread of Ray's does."""
+        if threading.current_thread().name.startswith("ray_"):
+            LOG.debug(text)
+            return len(text)
+        return self._stream.write(text)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
 
 
 def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> dict[str, int]:
@@ -257,6 +281,7 @@ def _on_cluster(ray: Any, work: Scoring, todo: "deque[Task]") -> dict[str, int]:
         on_node = replace(sweep, device="cuda" if sweep.device != "cpu" else "cpu")
         remote = ray.remote(Worker).options(num_cpus=1, num_gpus=gpus, max_restarts=0)
         pool = Pool(ray, partial(remote.remote, sweep_jobs.set_up, on_node), head.check)
+        pool.nodes = _alive(ray)
         try:
             total = sum(s.last - s.first for _, s in todo)
             with progress("all methods", total, file=work.progress) as advance:
@@ -296,10 +321,11 @@ def _feed(
             try:
                 writer, seconds = pool.ray.get(ref)
             except pool.ray.exceptions.RayError as error:
-                what = _died(error)
                 if isinstance(error, pool.ray.exceptions.RayTaskError):
                     pool.idle.append(actor)  # the shard failed, the actor lives
                     what = "it failed"
+                else:
+                    what = _died(error, pool)
                 cause = getattr(error, "cause", None)
                 if isinstance(cause, AnswerError):  # it would answer the same again
                     if name not in refused:
@@ -329,9 +355,25 @@ def _feed(
     return refused
 
 
-def _died(error: Exception) -> str:
-    """Who died, from Ray's error of a call that got no answer."""
-    if "node has died" in str(error) or type(error).__name__ == "NodeDiedError":
+def _alive(ray: Any) -> int:
+    """How many nodes of the cluster are alive."""
+    return sum(1 for node in ray.nodes() if node["Alive"])
+
+
+def _died(error: Exception, pool: Pool) -> str:
+    """Who died, from Ray's error of a call that got no answer.
+
+    Raises:
+        ClusterError: no node is left.
+    """
+    before, pool.nodes = pool.nodes, _alive(pool.ray)
+    if not pool.nodes:
+        raise ClusterError(
+            "the last node of the Ray cluster died (its raylet was killed, by the system where memory ran out); complete shards"
+            " are stored, the same command continues"
+        )
+    of_node = "node has died" in str(error) or type(error).__name__ == "NodeDiedError"
+    if of_node or pool.nodes < before:
         return "a node of the cluster died, and its workers with it"
     return "a worker died"
 
@@ -345,7 +387,7 @@ def _came_up(pool: Pool, ref: Any, work: Scoring) -> None:
         if pool.deaths >= STARTS:
             words = f"{STARTS} Ray actors died before their first shard: {error}"
             raise ClusterError(words) from error
-        LOG.info(f"sweep: {_died(error)} before its first shard; another one starts")
+        LOG.info(f"sweep: {_died(error, pool)} before its first shard; another one starts")
         return
     except OSError as error:
         raise _lost(error) from error

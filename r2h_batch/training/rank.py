@@ -258,6 +258,8 @@ class Training:
                     dict(kept["spent"]),
                 )
             tell(f"{path}: goes on at step {self.step}")
+        else:  # from now on the folder says whose it is: labels take minutes
+            self.keep()
 
     def keep(self) -> None:
         """Write the checkpoint."""
@@ -296,7 +298,7 @@ class Training:
             time.process_time(),
         )
         first = not self.lessons
-        if path.exists() and self.step >= max(stage.begin, int(first)):
+        if path.exists() and self.step >= stage.begin:
             with stored_state(path) as kept:
                 found = Lessons(**kept)
         else:
@@ -312,12 +314,12 @@ class Training:
                     found = Lessons.of(_counted(mined, told), 1)
             with atomic_path(path) as temporary:
                 torch.save(vars(found), temporary)
-            if first and not recipe.start:
-                x = torch.cat(
-                    [found.candidate.repeat_interleave(POSES, 1), found.pair], -1
-                ).flatten(0, 1)
-                self.net.mean.copy_(x.mean(0))
-                self.net.std.copy_(x.std(0).clamp(min=1e-3))
+        if first and not self.step and not recipe.start:
+            x = torch.cat([found.candidate.repeat_interleave(POSES, 1), found.pair], -1).flatten(
+                0, 1
+            )
+            self.net.mean.copy_(x.mean(0))
+            self.net.std.copy_(x.std(0).clamp(min=1e-3))
         self.net.train()
         if stage.number == 0 and not first:
             self.lessons[0] = self.lessons[0].and_more(found)

@@ -5,15 +5,20 @@ objects, people, robot, table or seed the trials are drawn once, and nothing is 
 """
 
 import hashlib
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from importlib.resources import as_file, files
 from pathlib import Path
 from typing import NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 from numpy.typing import NDArray
+
+from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.read import printable
 
 NEVER = 0
 """Redraws of a trial for which nothing was found: it stays the first one, without an answer."""
@@ -88,10 +93,21 @@ def load_certified(name: str) -> Certified:
 
 
 def read_certified(path: Path) -> Certified:
-    """A file that `save_certified` wrote."""
-    with np.load(path, allow_pickle=False) as file:
-        own = {k: file[k] for k in file.files}
-    return Certified(**{**own, "benchmark": str(own["benchmark"])})
+    """A file that `save_certified` wrote.
+
+    Raises:
+        FileError: it is damaged, or something else.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            own = {k: file[k] for k in (*_ARRAYS, "benchmark")}
+        found = Certified(**{**own, "benchmark": str(own["benchmark"])})
+        if {len(own[k]) for k in _ARRAYS} != {len(found.trial_id)}:
+            raise ValueError("its arrays differ in length")
+    except (OSError, AttributeError, EOFError, KeyError, TypeError, ValueError, BadZipFile, zlib.error) as error:  # fmt: skip
+        words = f"no readable file of certificates ({' '.join(printable(error).split())[:200]})"
+        raise FileError(f"{printable(path)}: {words}; install the package again") from error
+    return found
 
 
 def joined_certified(before: Certified, found: Certified) -> Certified:

@@ -10,8 +10,8 @@ import r2h_batch
 from r2h_batch.base import errors
 from r2h_batch.base.command_line import exit_code_of
 
-CONTROL = {"Stopped", "NothingFits", "PluginError"}
-"""No user reads them: whoever calls catches them (`PluginError` is below base; commands make a `UsageError` of it)."""
+CONTROL = {"Stopped", "NothingFits", "PluginError", "Ended"}
+"""No user reads them: whoever calls catches them (those of plug-ins are below base; commands make one line of them)."""
 
 
 @pytest.mark.check

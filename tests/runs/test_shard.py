@@ -2,7 +2,9 @@
 
 import multiprocessing
 import os
+import resource
 import shutil
+import signal
 import socket
 import time
 from concurrent.futures import ProcessPoolExecutor
@@ -23,7 +25,9 @@ from made_runs import (
     write,
 )
 
-from r2h_batch.runs.files import RunError, sha256_of, temporary_name
+from r2h_batch.__main__ import main
+from r2h_batch.base.io.write import atomic_path
+from r2h_batch.runs.files import GO_ON, RunError, replace_json, sha256_of, temporary_name, trouble_in
 from r2h_batch.runs.header import shards_of
 from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.shard import number_of, shard_folder, stored_files
@@ -135,6 +139,56 @@ def test_what_other_writers_left_when_they_were_killed_goes_with_the_next_sweep_
         os.utime(path, (time.time() - 4000,) * 2)
     assert mark_for_rerun(run, load_run(run).header) == []
     assert not any(p.exists() for p in left) and all(p.exists() for p in own)
+
+
+def test_what_a_writer_that_is_gone_has_left_is_named_by_verify_and_removed_at_once(tmp_path, capsys):
+    write(tmp_path / "run")
+    run = tmp_path / "run"
+    if not (child := os.fork()):
+        for place in (run / "run.json", run / "methods" / "m.json", shard_folder(run, "m") / "000001"):
+            temporary_name(place).write_text("half")
+        try:
+            with atomic_path(run / "table.md") as temporary:
+                temporary.write_text("half")
+                os.kill(os.getpid(), signal.SIGKILL)
+        finally:
+            os._exit(1)
+    os.waitpid(child, 0)
+    mine, left = temporary_name(run / "run.json"), sorted(run.rglob(".*.tmp*"))
+    mine.write_text("half")
+    assert len(left) == 4 and main(["results", "verify", str(run)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sorted(lines[:4]) == sorted(f"{p}: half written by a process that is gone; removed" for p in left)
+    assert mine.exists() and not any(p.exists() for p in left)
+
+
+def test_a_full_disk_names_the_file_and_no_half_of_it_stays(tmp_path):
+    folder, trials = tmp_path / "run", made_trials(6, 6)
+    run = open_run(folder, make_header(6, 6))
+    run.register("m", {"kind": "test"})
+    most = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        with pytest.raises(OSError, match="File too large") as error, run.write("m", *run.todo("m")) as writer:
+            writer.append(trials=score_rows(trials, make_scores(trials, OUTCOMES), NAMES))
+            resource.setrlimit(resource.RLIMIT_FSIZE, (100, most[1]))
+        named = trouble_in(folder, error.value)
+        with pytest.raises(OSError, match="File too large") as error:
+            replace_json(folder / "progress.json", {"text": "x" * 200})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, most)
+    assert named == f"run folder {folder}: shards/m/000000.parquet: File too large; {GO_ON}"
+    assert error.value.filename == str(folder / "progress.json")
+    assert not files_of(folder) and not list(folder.rglob("*.tmp"))
+
+
+def test_a_shard_that_nobody_could_read_again_is_not_stored(tmp_path, monkeypatch):
+    folder, trials = tmp_path / "run", made_trials(6, 6)
+    run = open_run(folder, make_header(6, 6))
+    run.register("m", {"kind": "test"})
+    monkeypatch.setattr("r2h_batch.runs.shard.time.strftime", lambda *_: 7)  # as a method may leave it
+    with pytest.raises(RunError, match=r"cannot be read again .*written.*; nothing was stored"):
+        store(run, "m", trials, make_scores(trials, OUTCOMES))
+    assert not files_of(folder) and not list(folder.rglob("*.tmp"))
 
 
 def test_rows_of_trials_that_a_shard_does_not_have_are_refused(tmp_path):

@@ -1,8 +1,10 @@
 """The Ray engine: any workers give the rows of one process, whatever dies on the way."""
 
+import io
 import os
 import signal
 import socket
+import threading
 import time
 from collections import deque
 from types import SimpleNamespace
@@ -46,8 +48,25 @@ def test_who_died_is_told_from_the_words_of_ray():
         "The actor died unexpectedly before finishing this task. The actor died because its node has died. Node Id: c9"
     )
     worker = "The actor is dead because its worker process has died. Worker exit type: SYSTEM_ERROR"
-    assert cluster._died(Exception(node)) == "a node of the cluster died, and its workers with it"
-    assert cluster._died(Exception(worker)) == "a worker died"
+
+    def died(words, before, after):
+        nodes = [{"Alive": k < after} for k in range(3)]
+        return cluster._died(Exception(words), SimpleNamespace(nodes=before, ray=SimpleNamespace(nodes=lambda: nodes)))
+
+    assert died(node, 2, 2) == died(worker, 3, 2) == "a node of the cluster died, and its workers with it"
+    assert died(worker, 2, 2) == died(worker, 1, 2) == "a worker died"
+    with pytest.raises(cluster.ClusterError, match="the last node of the Ray cluster died"):
+        died(worker, 1, 0)
+
+
+def test_what_threads_of_ray_print_is_not_the_sweeps():
+    kept = io.StringIO()
+    stream = cluster.NotOfRay(kept)
+    for name in ("ray_print_logs", "of the sweep"):
+        thread = threading.Thread(target=print, args=(name,), kwargs={"file": stream}, name=name)
+        thread.start()
+        thread.join()
+    assert kept.getvalue() == "of the sweep\n" and stream.isatty() is False
 
 
 def test_a_worker_whose_method_has_other_files_is_refused():

@@ -21,7 +21,7 @@ from r2h_batch.methods.ranker.observe import observe
 from r2h_batch.methods.ranker.search import NEAR_M, liked, scored_by
 from r2h_batch.training import mine, stream
 from r2h_batch.training.pairs import Pairs
-from r2h_batch.training.rank import CHECKPOINT, SHIPPED, WEIGHTS, Recipe, Training, begun, train_ranker
+from r2h_batch.training.rank import CHECKPOINT, SHIPPED, WEIGHTS, Lessons, Recipe, Training, begun, train_ranker
 from r2h_batch.verdicts import CRITERIA
 
 FAMILIES = "cup,hammer x 2 seed 5"
@@ -91,13 +91,18 @@ def test_an_interrupted_training_goes_on_with_the_same_bits_and_another_recipe_i
         step(self)
         self.keep()
 
-    monkeypatch.setattr(Training, "learn", stopped)
-    with pytest.raises(KeyboardInterrupt):
-        train_ranker(load_benchmark(), SMALL, tmp_path / "parts", tell=lambda s: None)
-    monkeypatch.undo()
+    def at_once(*_):
+        raise KeyboardInterrupt
+
     told: list[str] = []
+    of_labels = [(Lessons, "of", at_once), (Training, "learn", at_once), (Training, "learn", stopped)]
+    for place, name, stop in of_labels:  # before there are labels, before the first step, later
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+            patch.setattr(place, name, stop)
+            train_ranker(load_benchmark(), SMALL, tmp_path / "parts", tell=told.append)
     parts = train_ranker(load_benchmark(), SMALL, tmp_path / "parts", tell=told.append)
-    assert "goes on at step 5" in told[0] and parts.read_bytes() == whole.read_bytes()
+    begun_again = [line.rpartition(" ")[2] for line in told if "goes on at step" in line]
+    assert begun_again == ["0", "0", "5"] and parts.read_bytes() == whole.read_bytes()
     assert whole.stat().st_size <= MAX_BYTES // 2
     with pytest.raises(ValueError, match="is of another recipe"):
         train_ranker(load_benchmark(), replace(SMALL, seed=1), tmp_path / "parts", tell=lambda s: None)

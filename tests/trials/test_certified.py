@@ -10,6 +10,7 @@ import torch
 from rounds import each
 
 from r2h_batch import load_benchmark
+from r2h_batch.base.errors import FileError
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
@@ -209,3 +210,26 @@ def test_files_that_are_made_part_by_part_hold_each_trial_once_and_what_was_foun
         assert getattr(read, f.name).dtype == getattr(whole, f.name).dtype
     with pytest.raises(ValueError, match="two benchmarks"):
         joined_certified(whole, replace(again.certified, benchmark="x"))
+
+
+def test_a_damaged_file_of_certificates_is_one_line(draft, tmp_path):
+    save_certified(tmp_path / "x.npz", draft.own_certified)
+    whole = (tmp_path / "x.npz").read_bytes()
+    half = {k: getattr(draft.own_certified, k)[:5] for k in ("trial_id", "redraws", "T_obj_ee", "T_world_ee")}
+    damaged = {
+        "empty": b"", "cut": whole[: len(whole) // 2], "text": b"certificates", "flipped": whole[:200] + b"?" + whole[201:],
+        "an array": np.zeros(3), "others": {"trial_id": np.arange(3)},
+        "lengths": half | {"solved": np.ones(4, bool), "benchmark": np.array("x")},
+    }  # fmt: skip
+    for name, what in each(damaged.items()):
+        path = tmp_path / f"{name}.npz"
+        with path.open("wb") as file:
+            if isinstance(what, bytes):
+                file.write(what)
+            elif isinstance(what, dict):
+                np.savez(file, **what)
+            else:
+                np.save(file, what)
+        with pytest.raises(FileError, match="no readable file of certificates") as error:
+            read_certified(path)
+        assert "\n" not in str(error.value) and str(error.value).startswith(f"{path}: "), name

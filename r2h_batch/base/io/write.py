@@ -8,13 +8,16 @@ is lost. All writing goes through `atomic_path`. Python functions replace an exi
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import socket
 import stat
 import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
@@ -112,22 +115,67 @@ def _found(path: Path, shown: str) -> os.stat_result | None:
 
 
 @contextmanager
+def naming(path: Path, temporary: Path | None = None) -> Iterator[None]:
+    """An `OSError` from inside that names no file, or a temporary one, names `path`, and its reason is the system's."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is None or str(error.filename) == str(temporary):
+            if error.errno and (error.strerror or "").startswith("Error "):  # Arrow's sentence
+                error.strerror = os.strerror(error.errno)
+            error.filename = str(path)
+        error.filename2 = None
+        raise
+
+
+@cache
+def _machine() -> str:
+    """8 hexadecimal digits of this machine's start and namespace of processes, in which a number is one process."""
+    said = [socket.gethostname()]
+    for read in (
+        lambda: Path("/proc/sys/kernel/random/boot_id").read_text(),
+        lambda: os.readlink("/proc/self/ns/pid"),
+    ):
+        with suppress(OSError):
+            said.append(read())
+    return hashlib.sha256("\n".join(said).encode()).hexdigest()[:8]
+
+
+def writers_name() -> str:
+    """32 hexadecimal digits for the name of a temporary file, which no other has: `writer_is_gone` knows who writes it."""
+    return f"{_machine()}{os.getpid():08x}{uuid4().hex[:16]}"
+
+
+def writer_is_gone(name: str) -> bool:
+    """Whether the process that took a name from `writers_name` has ended; False where that is not known: on another machine.
+
+    Args:
+        name: 32 hexadecimal digits.
+    """
+    if name[:8] != _machine():
+        return False
+    try:
+        os.kill(int(name[8:16], 16), 0)
+    except (ProcessLookupError, OverflowError):
+        return True
+    except OSError:  # somebody else's process
+        return False
+    return False
+
+
+@contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary name that becomes `path` when the block ends without an error.
 
     A link at `path` is replaced, not followed. A missing folder is made. An `OSError` from inside
     names `path`.
     """
-    temporary = path.with_name(f".{uuid4().hex[:12]}.tmp{path.suffix}")
+    temporary = path.with_name(f".{writers_name()}.tmp{path.suffix}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        yield temporary
-        os.replace(temporary, path)
-    except OSError as error:
-        if error.filename is None or str(error.filename) == str(temporary):
-            error.filename = str(path)
-        error.filename2 = None
-        raise
+        with naming(path, temporary):
+            path.parent.mkdir(parents=True, exist_ok=True)
+            yield temporary
+            os.replace(temporary, path)
     finally:
         with suppress(OSError):
             temporary.unlink(missing_ok=True)

@@ -25,18 +25,21 @@ LISTED = 200
 def verify(folder: Path, /) -> int:
     """Find damaged and foreign shards and mark them for rerun.
 
-    Files beside the shards (reception) that are damaged, too large or of other trials are set aside. The last
-    line says what is not checked. Exit code 0: every stored shard is as it was written. Exit code 1: the same sweep will
-    score some shards again, or a file was set aside.
+    Files beside the shards (reception) that are damaged, too large or of other trials are set aside. Temporary files that a
+    killed process left are named and removed. The last line says what is not checked. Exit code 0: every stored shard is as it
+    was written. Exit code 1: the same sweep will score some shards again, or a file was set aside.
 
     Args:
         folder: a run folder, as `r2h-batch sweep --out` writes it.
     """
     from r2h_batch.runs.header import read_header, shards_of
     from r2h_batch.runs.store import load_run
-    from r2h_batch.runs.verify import mark_for_rerun
+    from r2h_batch.runs.verify import mark_for_rerun, remains
 
-    lines = mark_for_rerun(folder, read_header(folder))
+    header = read_header(folder)
+    if half := remains(folder, header):
+        print("\n".join(half))
+    lines = mark_for_rerun(folder, header)
     print("\n".join(lines or [f"{folder}: every stored shard is as it was written"]))
     run = load_run(folder, verify=False)
     lines += (strange := _strange_side_files(run))

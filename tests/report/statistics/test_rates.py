@@ -10,7 +10,7 @@ from rounds import each
 
 from r2h_batch.report.statistics.rates import ASKED_FAILURES, FAILURES, OF_ALL, RATES, TIMES, shares
 from r2h_batch.runs.rows import OUTCOME_NAMES
-from r2h_batch.verdicts import ASKED, ELSEWHERE, NO_LONGER, REGISTRY, SPLITS
+from r2h_batch.verdicts import ASKED, ELSEWHERE, NO_LONGER, NUMBERS, REGISTRY, SPLITS
 
 CODE = """
 from r2h_batch.plugins import PluginError
@@ -48,6 +48,7 @@ def test_every_outcome_is_in_one_rate_and_each_rate_says_what_it_is():
     rates = {n: RATES[n] for n in RATES}
     counted = Counter(o for n in rates for o in rates[n].outcomes)
     assert counted == Counter(o for o in OUTCOME_NAMES if o not in (*NO_LONGER, ELSEWHERE))
+    assert set(NUMBERS) == rates.keys() - {entry.rate for entry in (*REGISTRY, *ASKED)}
     assert OF_ALL.keys() | ASKED_FAILURES.keys() | set(TIMES) | shares().keys() == rates.keys()
     for name, rate in each(rates.items()):
         assert rate.heading and rate.caption.endswith((".", ")")) and rate.unit == ("s" if name in TIMES else "%")
