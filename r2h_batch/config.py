@@ -33,6 +33,9 @@ TABLE_CENTER = (-0.025, 0.0, -0.025)
 TABLE_HALF = (0.475, 0.6, 0.025)
 """The table's top is at z = 0, x from -0.5 to 0.45 m, |y| <= 0.6 m; it is 5 cm thick [choice]."""
 
+MOST_HEAD_CLEARANCE_M = 0.5
+"""Bound of `Benchmark.head_clearance_m`."""
+
 PRESENTED_M = {"S0": 0.075, "S1": 0.035}
 """Presented: gripper and sharp parts may be nearer to the palm than the wanted part by this. [choice] of three raters: the
 smallest value that agrees with most of their pictures (bench/rating.py)."""

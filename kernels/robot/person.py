@@ -94,6 +94,7 @@ def place_person(
     first: int,
     of_hand: int,  # pieces of the trial's hand that stand before the person's; 0: the person alone
     room: float,  # by how much the person is grown, m
+    head_room: float,  # and the head beside that
     # the scene's tables of pieces, as `World` has them
     piece_start_in: wp.array(dtype=int), piece_blocks_in: wp.array(dtype=int), piece_round_in: wp.array(dtype=float),
     piece_center_in: wp.array(dtype=wp.vec3), piece_radius_in: wp.array(dtype=float),
@@ -147,7 +148,7 @@ def place_person(
         if k < TORSO:
             grown = receiver_in[row, 1 - k, 3] + room
         if k == HEAD:
-            grown = head_in[row, 0, 3] + room
+            grown = head_in[row, 0, 3] + room + head_room
         i = of_hand + k
         piece_start_out[row, i] = -1 - BLOCK_POINTS * (PIECES * row + k)
         piece_blocks_out[row, i] = 1

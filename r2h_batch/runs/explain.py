@@ -55,8 +55,6 @@ PAIRS = {
 """Pairs of bodies (`CollidingPair`) in words."""
 SHORT = ("ik_unreachable", "ik_not_found")
 """Reasons of Plan whose margin is how far the gripper stays from its target."""
-PERSON = "the receiver's arm, torso or head"
-"""What is meant where the hand is not, with `--receiver body`."""
 LEAST = 0.05
 """Smaller margins are not printed as a number (mm, deg)."""
 ENTRIES = {entry.name: entry for entry in EVERY}
@@ -68,6 +66,14 @@ def body_name(part: str) -> str:
     return re.sub(r"_\d+$", "", part).replace("_", " ")
 
 
+def meets_person(head_m: float) -> str:
+    """What a part of the robot does where the person's hand is not meant, with `--receiver body`; `head_m`: what it has to keep
+    from the head, m."""
+    if not head_m:
+        return "meets the receiver's arm, torso or head"
+    return f"meets the receiver's arm or torso, or is within {100 * head_m:g} cm of the head"
+
+
 def short_by(row: Mapping[str, Any], criterion: str) -> tuple[float | None, Unit]:
     """By how much a criterion fails, above 0, as people read it (mm, deg), and the unit; None where no number says it."""
     entry = ENTRIES[criterion]
@@ -76,12 +82,14 @@ def short_by(row: Mapping[str, Any], criterion: str) -> tuple[float | None, Unit
     return (-unit.scale * float(size) if known else None), unit  # type: ignore[arg-type]
 
 
-def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
+def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.0) -> str:
     """The verdict in one line: success, or the criterion that fails first, why, and by how much.
 
     Args:
         row: of trials, with or without its details.
-        pair: the pair of bodies that Plan's margin is about, where that was computed; a row alone does not say it.
+        pair: the pair of bodies that Plan's margin is about, of `PAIRS` or in words, where that was computed; a row alone does
+            not say it.
+        head_m: what robot and object have to keep from the head, m.
     """
     outcome = str(row["outcome"])
     if outcome == "success":
@@ -98,7 +106,7 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     words = f"{outcome} fails: "
     if outcome == "plan":
         reason = str(row["plan_reason"])
-        met = f" ({PAIRS[pair]})" if pair in PAIRS and row.get("plan_pair") else ""
+        met = f" ({PAIRS.get(pair, pair)})" if pair and row.get("plan_pair") else ""
         short = f": {by} short" if by and reason in SHORT else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "pick":
@@ -112,7 +120,7 @@ def headline(row: Mapping[str, Any], pair: str | None = None) -> str:
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
         part = body_name(str(row["witness_safe_part"]))
         if not row.get("witness_point_m"):  # a point is known of the hand alone
-            return f"{words}{part} meets {PERSON}"
+            return f"{words}{part} {meets_person(head_m)}"
         return f"{words}{part} meets the hand at {row['witness_time_s']:.1f} s"
     if outcome == "stability" and row.get("width_m") is None:
         return f"{words}nothing lies between the pads"
@@ -201,7 +209,7 @@ class Explanation:
 
 def explained(
     row: Mapping[str, Any], method: str, limits: Mapping[str, float], picture: str, *,
-    pair: str | None = None, witness: str = "",
+    pair: str | None = None, witness: str = "", head_m: float = 0.0,
 ) -> Explanation:  # fmt: skip
     """The explanation of a row.
 
@@ -212,6 +220,7 @@ def explained(
         picture: the command that shows the trial.
         pair: as of `headline`.
         witness: what decides it, where that was computed; else what the row says.
+        head_m: as of `headline`.
     """
     outcome = str(row["outcome"])
     criterion = outcome if outcome in ENTRIES else ""
@@ -219,7 +228,8 @@ def explained(
     return Explanation(
         int(row["trial_id"]), method, criterion, None if size is None else -size / unit.scale,
         next(name for name, one in UNITS.items() if one is unit),
-        row.get(f"margin_kind_{criterion}") == "bound", headline(row, pair), witness or _witness(row, criterion),
+        row.get(f"margin_kind_{criterion}") == "bound", headline(row, pair, head_m),
+        witness or _witness(row, criterion),
         _passes(row, criterion, limits) if criterion else "", picture,
     )  # fmt: skip
 
@@ -231,7 +241,7 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
     if criterion == "safe" and row.get("witness_safe_part"):
         part, point = body_name(str(row["witness_safe_part"])), row.get("witness_point_m")
         if not point:
-            return f"{part} and {PERSON}"
+            return f"{part} and the receiver's arm, torso or head"
         at = f" at ({', '.join(f'{x:.3f}' for x in point)}) m in the world"
         return f"{part}, {row['witness_time_s']:.2f} s after the start{at}"
     if criterion == "plan" and (row.get("nearest_pair") or row.get("plan_pair")):
@@ -284,7 +294,7 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
     if criterion == "affordance":
         return f"the fingers {by} farther from the receiver's part"
     if criterion == "safe":
-        who = "the hand then" if row.get("witness_point_m") else PERSON
+        who = "the hand then" if row.get("witness_point_m") else "the receiver's arm, torso or head"
         return f"the robot {by} farther from {who}"
     return f"a margin larger by {by}"
 

@@ -24,6 +24,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.read import read_json as read_any_json
 from r2h_batch.base.registry import QUESTIONS
 from r2h_batch.base.validate import rule_of
+from r2h_batch.config import MOST_HEAD_CLEARANCE_M
 from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.runs.files import RunError, in_the_way
 from r2h_batch.runs.plugged import other_plugins
@@ -162,6 +163,8 @@ Header = _record(
     objects=(list[_Object], _ABSENT),
     # criteria that its benchmark asks for beside those of all; the benchmark's digest knows them
     asks=(list[Literal[(*ASKED_NAMES, *NO_LONGER)]], _ABSENT),  # type: ignore[valid-type]
+    # what robot and object keep from the head, m; the benchmark's digest knows it
+    head_clearance_m=(Annotated[float, Field(gt=0, le=MOST_HEAD_CLEARANCE_M)], _ABSENT),
     # what its receivers are made of; runs of before lack it (before.py)
     person=(Annotated[list[Name], Field(max_length=100)], _ABSENT),
     benchmark=(_record(flags=Annotated[list[Text], Field(max_length=100)]), _ABSENT),

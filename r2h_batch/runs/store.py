@@ -210,7 +210,8 @@ class Run:
         row = self.row(self.trial_id(str(trial)), name)
         run = next(r for r in self.runs if r.folder == self.entry(name).folder)
         limits = run.header.get("configuration", {}).get("thresholds", {})
-        return explained(row, name, limits, picture_command(self, name, row["trial_id"]))
+        command = picture_command(self, name, row["trial_id"])
+        return explained(row, name, limits, command, head_m=run.header.get("head_clearance_m", 0.0))
 
     def complete(self, word: str | None = None) -> str:
         """The full name of a method whose rows are all there.

@@ -86,6 +86,7 @@ def with_person(
 
     Alone means: no hand, no table, no object, no pairs of the robot with itself: what is then
     nearest is robot and person. `head`: of `heads_of`, where the receiver's arm has moved since; None: the receiver's.
+    The head is grown by what robot and object keep from it (`Benchmark.head_clearance_m`).
     """
     base = scene.world if hand else scene.world_of_robot
     of_hand = int(base.n_pieces) if hand else 0
@@ -94,6 +95,7 @@ def with_person(
     made = over_trials(kernels.place_person, len(receiver), scene.device, sizes=sizes, chunk=256)(
         of_hand=of_hand,
         room=scene.hand_room_m,
+        head_room=scene.benchmark.head_clearance_m,
         **{name: getattr(scene.world, name) for name in _OF_PIECES},
         receiver=receiver.contiguous(),
         head=heads_of(receiver) if head is None else head.contiguous(),

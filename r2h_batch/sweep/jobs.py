@@ -235,6 +235,7 @@ def prepare(
         "motion": motion,
         "objects": [_about_object(o) for o in objects],
         **({"asks": list(benchmark.asks)} if benchmark.asks else {}),
+        **({"head_clearance_m": head_m} if (head_m := benchmark.head_clearance_m) else {}),
         **({"person": list(PIECES)} if benchmark.has_bodies else {}),
         "hands": [[SIDES[s], len(list(group))] for s, group in groupby(sides)],
         "device": {

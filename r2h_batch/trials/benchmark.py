@@ -26,13 +26,14 @@ from r2h_batch.base.schedule import SEED, trial_ids
 from r2h_batch.base.validate import (
     instance_of,
     integer,
+    number,
     one_of,
     optional,
     sequence_of,
     suggest_names,
 )
 from r2h_batch.base.validate_tensors import check_tensor
-from r2h_batch.config import PRESENTED_M, EvalConfig, Thresholds, Workplace
+from r2h_batch.config import MOST_HEAD_CLEARANCE_M, PRESENTED_M, EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
@@ -76,6 +77,8 @@ class Benchmark:
         name: in messages and tables; the digest leaves it out.
         people: whose bodies and hands the receivers have; None: the rule's own.
         receiver: what planning and Safe see of the person: the hand, or arm, torso and head too.
+        head_clearance_m: what robot and object keep from the head, m: planning, Safe and `body_m` see one that is larger by it.
+            The person's own hand and arm may come nearer, also with the object. 0 where receiver is hand.
         robot: arm and gripper.
         persons: where persons stand: as the rule places them for the robot's home and reach, or for the UR5e's.
         thresholds: where a criterion turns from pass to fail.
@@ -94,6 +97,7 @@ class Benchmark:
     name: str = "unnamed"
     people: People | None = None
     receiver: Literal["hand", "body"] = "hand"
+    head_clearance_m: float = 0.0
     robot: Robot = field(default_factory=load_robot)
     persons: Literal["for-robot", "as-for-ur5e"] = "for-robot"
     thresholds: Thresholds = field(default_factory=Thresholds)
@@ -115,6 +119,11 @@ class Benchmark:
         how = f"take a benchmark of people, such as {WITH_PEOPLE}"
         if self.receiver == "body" and not self.has_bodies:
             raise ValueError(f"receiver is body, trials of {self.protocol} have none; {how}")
+        number(0, MOST_HEAD_CLEARANCE_M)("head_clearance_m", self.head_clearance_m)
+        if self.receiver == "hand" and self.head_clearance_m:
+            raise ValueError(
+                f"head_clearance_m is {self.head_clearance_m:g} and receiver is hand, without a head; make it 0, or receiver body"
+            )
         instance_of(str, "32 hexadecimal digits, or empty")("seed", self.seed)
         if self.seed and not re.fullmatch(SEED, self.seed):
             raise ValueError(
@@ -166,12 +175,12 @@ class Benchmark:
             asks: what the benchmark asked for then; r2h_batch 0.3 knew a criterion more.
         """
         head = ("head",) if self.receiver == "body" else ()
-        found = {}
+        found, then = {}, replace(self, head_clearance_m=0.0)
         if head:
-            found[self._redrawn(self._digest_of(self._asks, person=""))] = head
+            found[self._redrawn(then._digest_of(self._asks, person=""))] = head
         if "received" in self.asks:
             words = f"asks {' '.join(asks)}\n"
-            found[self._redrawn(self._digest_of(words, person=""))] = ("taken", *head)
+            found[self._redrawn(then._digest_of(words, person=""))] = ("taken", *head)
         return found
 
     def _redrawn(self, digest: str) -> str:
@@ -185,7 +194,7 @@ class Benchmark:
         """The digest of the same trials drawn once and judged by `CERTIFIED_BY`, with the objects as they lie in their own
         files: what certificates are for. It leaves out what a person is made of, which decides no draw."""
         own = tuple(o.who.own for o in self.objects)
-        plain = replace(self, objects=own, asks=CERTIFIED_BY, certified=None)
+        plain = replace(self, objects=own, asks=CERTIFIED_BY, certified=None, head_clearance_m=0.0)
         return plain._digest_of(plain._asks, person="")
 
     @cached_property
@@ -245,6 +254,8 @@ class Benchmark:
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             made_of = MADE_OF if person is None else person
             digest.update(f"receiver {self.receiver}\n{made_of}".encode())
+        if self.head_clearance_m:
+            digest.update(f"head_clearance_m {float(self.head_clearance_m)!r}\n".encode())
         digest.update(asks.encode())
         if self.seed:
             digest.update(f"seed {self.seed}\n".encode())

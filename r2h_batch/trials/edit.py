@@ -97,7 +97,8 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
         )
     if other or listed is not base.listed or (receiver, people) != (base.receiver, base.people):
         base = replace(
-            base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, receiver=receiver, people=people
+            base, objects=objects, hand_set=hand_set, listed=listed, labels=labels, receiver=receiver, people=people,
+            head_clearance_m=base.head_clearance_m if receiver == "body" else 0.0,
         )  # fmt: skip
     persons = choice.persons or base.persons
     if choice.robot or persons != base.persons:

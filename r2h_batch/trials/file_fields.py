@@ -16,7 +16,7 @@ from r2h_batch.base.io.read import printable, read_yaml
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.schedule import SEED
 from r2h_batch.base.validate import rule_of
-from r2h_batch.config import HOME_Q, TABLE_CENTER, TABLE_HALF, Thresholds
+from r2h_batch.config import HOME_Q, MOST_HEAD_CLEARANCE_M, TABLE_CENTER, TABLE_HALF, Thresholds
 from r2h_batch.scene.objects import (
     BUILT_IN_NAMES,
     INSTANCE_NAMES,
@@ -169,6 +169,10 @@ class BenchmarkFile(_Entry):
     receiver: Literal["hand", "body"] | None = Field(
         default=None,
         description="what planning and Safe see of the person: the hand, or arm, torso and head too; null: as the benchmark does",
+    )
+    head_clearance_m: Annotated[float, Field(ge=0, le=MOST_HEAD_CLEARANCE_M)] | None = Field(
+        default=None,
+        description="what robot and object keep from the head, m; needs receiver body; null: as the benchmark does",
     )
     hand_model: FilePath = Field(
         default=BUILT_IN, description="built-in, or a hand.npz (r2h-batch import hand)"

@@ -54,6 +54,9 @@ def benchmark_of_run(
     benchmark = edited(given, pieces=pieces)
     if asks in MAY_ASK:  # the draft of before asked for less
         benchmark = replace(benchmark, asks=asks)
+    head_m = header.get("head_clearance_m", 0.0)
+    if benchmark.head_clearance_m != head_m:  # nor did it keep off the head
+        benchmark = replace(benchmark, head_clearance_m=head_m)
     found = {"objects": object_digest(benchmark.objects), "hand_set": benchmark.hand_set.digest}
     if "benchmark" in digests:  # older runs lack it
         found["benchmark"] = benchmark.digest

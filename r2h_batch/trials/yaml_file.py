@@ -118,10 +118,13 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         receiver = file.receiver or own.receiver
         if file.receiver is None and listed is not None and listed.receiver is None:
             receiver = "hand"
+        head_m = file.head_clearance_m
+        if head_m is None:
+            head_m = own.head_clearance_m if receiver == "body" else 0.0
         return replace(
             own, name=_name_of(Path(path)), objects=objects, hand_set=hand_set, thresholds=file.thresholds,
             workplace=_workplace(file, path, own), listed=listed, labels=labels, receiver=receiver, people=people,
-            seed=file.seed or "", asks=own.asks if file.asks is None else tuple(file.asks),
+            seed=file.seed or "", asks=own.asks if file.asks is None else tuple(file.asks), head_clearance_m=head_m,
         )  # fmt: skip
     except FileError:
         raise

@@ -36,13 +36,18 @@ def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list
 
 def verdict_of(stored: StoredTrial) -> str:
     """The verdict of a trial in one line; of a failed plan with the pair that its margin is about."""
-    return headline(stored.row, pair_of(stored))
+    return headline(stored.row, pair_of(stored), stored.head_clearance_m)
 
 
 def pair_of(stored: StoredTrial) -> str | None:
-    """The pair of bodies that a failed plan's margin is about."""
-    asked = stored.asked
-    return None if asked is None or asked.nearest is None else asked.nearest.kind
+    """The pair of bodies that a failed plan's margin is about, as `headline` takes it."""
+    nearest = None if stored.asked is None else stored.asked.nearest
+    if nearest is None:
+        return None
+    if nearest.other == "head" and stored.head_clearance_m:
+        who = "object" if nearest.part == "object" else "robot"
+        return f"{who} within {100 * stored.head_clearance_m:g} cm of the head"
+    return nearest.kind
 
 
 def postures(asked: Postures) -> str:

@@ -24,6 +24,8 @@ from r2h_batch.view.stored_trial import StoredTrial
 Array = NDArray[np.float64]
 Color = tuple[float, float, float, float]
 
+HEAD = "receiver/head"
+"""The head's geom, as large as robot and object keep off it."""
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
@@ -122,6 +124,7 @@ class Witness:
     estimated: bool = (
         False  # the margin is to the hand as the planner sees it, the picture shows the true one
     )
+    head_m: float = 0.0  # what robot and object keep from the head
 
     @property
     def caption(self) -> str:
@@ -135,6 +138,10 @@ class Witness:
         if self.kind == "affordance":
             return f"{_geom_name(self.geoms[0])} on the receiver's part"
         a, b = map(_geom_name, self.geoms)
+        if HEAD in self.geoms and self.head_m and self.distance_m < 0:
+            known = self.least_m is not None and self.least_m < 0
+            by = f"{-1e3 * (self.least_m if known else self.distance_m):.1f} mm{' or more' if known else ''}"  # type: ignore[operator]
+            return f"{b if self.geoms[0] == HEAD else a} is within {100 * self.head_m:g} cm of the head, by {by}"
         if (
             self.least_m is not None and self.least_m < 0
         ):  # the margin is a lower bound of an overlap
@@ -379,7 +386,8 @@ class Drawing:
             distance = mujoco.mj_geomDistance(model, data, a, b, NEAR_M, line)
             if distance < least:
                 names, least = (model.geom(a).name, model.geom(b).name), float(distance)
-                best = Witness(names, kind, least, line.reshape(2, 3))
+                head_m = self.stored.head_clearance_m
+                best = Witness(names, kind, least, line.reshape(2, 3), head_m=head_m)
         return best
 
     def _gap(self, criterion: str, triangles: Array) -> Witness:

@@ -510,7 +510,7 @@ def _add_receiver(
     size = half + stored.room_m
     body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=size, **how)
     low, high = heads_of(torch.from_numpy(receiver[None]).float())[0].double().numpy()
-    size = [low[3] + stored.room_m, 0, 0]
+    size = [low[3] + stored.room_m + stored.head_clearance_m, 0, 0]  # the skin shows the true head
     body.add_geom(
         name="receiver/head", type=_CAPSULE, fromto=[*low[:3], *high[:3]], size=size, **how
     )

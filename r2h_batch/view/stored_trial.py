@@ -49,6 +49,11 @@ class StoredTrial:
         return self.q[-1] if self.asked is None else self.asked.q
 
     @property
+    def head_clearance_m(self) -> float:
+        """What robot and object keep from the head, m."""
+        return float(self.header.get("head_clearance_m", 0.0))
+
+    @property
     def given(self) -> bool:
         """Whether the motion came from a file: joints move at a constant rate between samples."""
         return self.moves and self.row["t_plan_s"] is None

@@ -69,6 +69,7 @@ def explanation(reader: "Reader", trial: int, method: str) -> "Explanation":
         limits,
         own.picture,
         pair=pair_of(stored),
+        head_m=stored.head_clearance_m,
         witness=found.caption + counts,
     )
 

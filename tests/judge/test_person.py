@@ -70,6 +70,28 @@ def test_distances_at_a_posture_are_those_of_mujoco(asked):
             assert 0.2 * depth < -found <= 1.002 * depth + 1e-4, (i, found, depth)
 
 
+def test_what_robot_and_object_keep_from_the_head_is_taken_off_its_distance(asked):
+    """Against MuJoCo's capsule of the head, swept by a sphere; a metre's third, so that many a head is the nearest."""
+    kept = replace(load_benchmark("r2h-v1"), receiver="body", head_clearance_m=0.3)
+    judge, plain = Evaluator(kept, EvalConfig(execute=ExecConfig(sim="none"))), evaluator("body")
+    trials = replace(kept.trials(36), receiver=asked[2].receiver)
+    posed, before = judge.score(*asked[:2], trials, stages="pose"), plain.score(*asked, stages="pose")
+    same = (posed.q_goal == before.q_goal).all(1)
+    of_head = torch.nonzero(same & (posed.body_m < before.body_m - 1e-3)).flatten().tolist()
+    apart = [i for i in of_head if posed.body_m[i] > 0]
+    assert len(of_head) >= 8 and len(apart) >= 2
+    for i in [*apart[:3], *of_head[:5]]:
+        found, q = float(posed.body_m[i]), posed.q_goal[i].numpy()
+        true = twin_of(plain.scene, trials, posed, i).head_at(q, cap=0.4) - 0.3
+        if found > 0:
+            assert found == pytest.approx(true, abs=2e-5), i
+        else:
+            assert true - 1e-4 <= found < 0, (i, found, true)
+        assert twin_of(judge.scene, trials, posed, i).head_at(q, cap=0.4) == pytest.approx(true, abs=2e-5) or true < 0
+    goal = posed.margin[:, PLAN] < 0  # Plan and Safe too
+    assert goal[[i for i in of_head if posed.body_m[i] < 0]].all()
+
+
 def test_distances_of_an_arm_of_hulls_are_those_of_mujoco(asked):
     robot = with_hulls(load_robot())
     judge = Evaluator(load_benchmark("r2h-v1").on(robot), EvalConfig(execute=ExecConfig(sim="none")))

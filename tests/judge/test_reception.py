@@ -517,6 +517,17 @@ def test_robot_and_object_are_clear_of_the_leaned_head_as_fcl_says(scores, steps
         assert 1 < sum(clear for clear, of in found if of == near) < sum(of == near for _, of in found) - 1
 
 
+def test_what_robot_and_object_keep_from_the_head_is_not_asked_of_the_person(scores):
+    kept = replace(load_benchmark("r2h-v1"), receiver="body", head_clearance_m=0.3)
+    inputs = scores.inputs
+    trials = kept.trials(16)
+    found = Evaluator(kept, EvalConfig(execute=ExecConfig(sim="none"))).score(
+        inputs.T_obj_ee, inputs.T_world_ee, trials, stages="pose"
+    )
+    assert torch.equal(trials.receiver, inputs.trials.receiver) and (found.body_m < 0).any()
+    assert torch.equal(judge._batch_of(found).robot["head"], heads_of(trials.receiver))
+
+
 def test_no_head_is_passed_by_between_two_steps_of_a_way(scores, steps):
     """Heads 2 m from the hips about which they lean, and links that they pass on the way: at samples, and as certified."""
     batch, arms, passes, way = steps

@@ -61,14 +61,22 @@ def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stor
 def test_what_presented_is_about_is_said_of_every_row_and_the_limit_of_what_fails():
     told = {"split": "S1", "presented_by": "gripper"}
     assert presented_words({**told, "presented_margin_m": 0.05}) == (
-        "the receiver's part is 3.0 cm nearer to the palm than the gripper"
+        "the receiver's part is 1.5 cm nearer to the palm than the gripper"
     )
-    assert presented_words({**told, "presented_margin_m": 0.01}).startswith("the gripper is 1.0 cm nearer")
+    assert presented_words({**told, "presented_margin_m": 0.01}).startswith("the gripper is 2.5 cm nearer")
     inside = {**told, "presented_by": "ball", "presented_margin_m": 0.08}
     assert presented_words(inside) == "the receiver's part is 8.0 cm inside the ball in front of the palm"
     assert presented_words({"split": "S1", "presented": True}) == ""  # a row of before
     failed = row("presented", -0.014, presented_margin_m=-0.014, presented_by="gripper", split="S0")
-    assert explained(failed, "mine", LIMITS, "").witness.endswith("than the object; up to 1 cm is allowed")
+    assert explained(failed, "mine", LIMITS, "").witness.endswith("than the object; up to 7.5 cm is allowed")
+
+
+def test_what_is_kept_from_the_head_is_said_where_the_hand_is_not_meant():
+    stored = row("safe", -0.004, witness_safe_part="wrist_3_0", witness_time_s=3.21, witness_point_m=None)
+    words = "wrist 3 meets the receiver's arm or torso, or is within 10 cm of the head"
+    assert headline(stored, head_m=0.1).endswith(words) and explained(stored, "m", LIMITS, "", head_m=0.1).why.endswith(
+        words
+    )
 
 
 def test_the_pair_of_the_margin_is_named_where_it_was_computed():

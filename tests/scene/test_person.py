@@ -1,6 +1,7 @@
 """A person's arm, torso and head as pieces of a hand: placed as NumPy places them in float64, and held by their bounds."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from rounds import each
 from r2h_batch import load_benchmark
 from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.distance import HandTables, hand_distance_at
+from r2h_batch.scene import Scene
 from r2h_batch.scene import person as pieces_of
 from r2h_batch.scene.person import HEAD_M, MADE_OF, PIECES, heads_of, with_person
 
@@ -54,6 +56,19 @@ def test_the_heads_of_other_receivers_are_given():
         a, b = (wp.to_torch(getattr(w, name))[head] for w in (first, other))
         assert torch.equal(a, b), name
     assert not torch.equal(own, heads_of(moved))
+
+
+def test_planning_sees_a_head_that_is_larger_by_what_is_kept_from_it(held):
+    """The true one is that of `heads_of`; arm, torso and hand stay as they are."""
+    bodies, trials = held
+    scene = default_evaluator().scene
+    large = Scene(replace(load_benchmark("r2h-v1"), receiver="body", head_clearance_m=0.1))
+    for hand in (False, True):
+        first, other = (with_person(s, bodies, trials.receiver, hand=hand).world for s in (scene, large))
+        for name, grown in each({"piece_center": 0.0, "piece_radius": 0.1, "piece_round": 0.1}.items()):
+            a, b = (wp.to_torch(getattr(w, name)).reshape(N, first.n_pieces, -1) for w in (first, other))
+            assert torch.equal(a[:, :-1], b[:, :-1]) and torch.allclose(b[:, -1], a[:, -1] + grown, atol=1e-6), name
+    assert float(heads_of(trials.receiver)[0, 0, 3]) < 0.13
 
 
 def test_what_a_person_is_made_of_is_written_down_whole():

@@ -73,7 +73,7 @@ class MujocoScene:
     """A MuJoCo C model of one trial with the pairs that planning checks.
 
     A `receiver` (5, 4), as in `Trials.receiver`, stands there with arm, torso and head, and counts as the hand does; `person`
-    names their geoms.
+    names their geoms. The head is as large as robot and object keep off it.
     """
 
     def __init__(
@@ -91,6 +91,7 @@ class MujocoScene:
         self._add_hulls(spec, wrist.add_body(name="object", **_pose(T_wrist_obj)), "object", hulls)
         pieces = self.hand_hulls(scene)
         self._add_hulls(spec, spec.worldbody.add_body(name="hand", **_pose(staged.T_world_hand)), "hand", pieces)
+        self.head_clearance_m = scene.benchmark.head_clearance_m
         self.person = [] if receiver is None else self._add_person(spec, receiver)
         self.groups["hand"] += self.person
         self.groups["table"].append("table")
@@ -168,7 +169,8 @@ class MujocoScene:
         T[:3] = np.array([[x, -y, 0.0, middle[0]], [y, x, 0.0, middle[1]], [0.0, 0.0, 1.0, middle[2]]])
         spec.worldbody.add_geom(name="torso", type=mujoco.mjtGeom.mjGEOM_BOX, size=half, **_pose(T), **_PASSIVE)
         low, high, radius = head_of(receiver)
-        spec.worldbody.add_geom(name="head", type=capsule, fromto=[*low, *high], size=[radius, 0, 0], **_PASSIVE)
+        size = [radius + self.head_clearance_m, 0, 0]
+        spec.worldbody.add_geom(name="head", type=capsule, fromto=[*low, *high], size=size, **_PASSIVE)
         return ["forearm", "upper_arm", "torso", "head"]
 
     def pairs_with_person(self) -> NDArray[np.int64]:
@@ -181,6 +183,16 @@ class MujocoScene:
         self.data.qpos[:] = q
         mujoco.mj_kinematics(self.model, self.data)
         pairs = self.pairs_with_person()
+        return self._least(pairs, cap)
+
+    def head_at(self, q: ArrayLike, *, cap: float = 0.05) -> float:
+        """The same of the head alone."""
+        self.data.qpos[:] = q
+        mujoco.mj_kinematics(self.model, self.data)
+        pairs = self.pairs_with_person()
+        return self._least(pairs[pairs[:, 1] == self.model.geom("head").id], cap)
+
+    def _least(self, pairs: NDArray[np.int64], cap: float) -> float:
         near = pairs[self._lower_bounds(*pairs.T) < cap]
         return min((mujoco.mj_geomDistance(self.model, self.data, a, b, cap, None) for a, b in near), default=cap)
 

@@ -87,6 +87,30 @@ def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeyp
         assert (other.digest == digest) == (other.receiver == "hand"), name
 
 
+def test_what_is_kept_from_the_head_is_a_number_of_the_benchmark_where_the_person_counts(tmp_path, capsys):
+    v2, draft = load_benchmark("r2h-v2"), load_benchmark("r2h-v3-draft")
+    assert v2.head_clearance_m == 0 and draft.head_clearance_m == 0.1
+    assert v2.digest == load_benchmark("r2h-v2").digest != replace(v2, head_clearance_m=0.1).digest
+    for text, wanted in each(
+        {
+            "protocol: r2h-v2": v2,
+            "protocol: r2h-v2\nhead_clearance_m: 0.1": replace(v2, head_clearance_m=0.1),
+            "protocol: r2h-v3-draft": draft,
+            "protocol: r2h-v3-draft\nhead_clearance_m: 0.0": replace(draft, head_clearance_m=0.0),
+            "protocol: r2h-v3-draft\nreceiver: hand": replace(draft, receiver="hand", head_clearance_m=0.0),
+        }.items()
+    ):
+        assert read_benchmark(written(tmp_path, text)).digest == wanted.digest, text
+    # trials and certificates are those without it
+    assert draft.undrawn_digest == replace(draft, head_clearance_m=0.0).undrawn_digest
+    with pytest.raises(ValueError, match=r"head_clearance_m is 0\.6; it must be a finite number from 0 to 0\.5"):
+        replace(v2, head_clearance_m=0.6)
+    with pytest.raises(ValueError, match=r"head_clearance_m is 0\.1 and receiver is hand, without a head; make it 0"):
+        replace(load_benchmark("r2h-v1"), head_clearance_m=0.1)
+    with pytest.raises(FileError, match=r"receiver is hand, without a head"):
+        read_benchmark(written(tmp_path, "protocol: r2h-v1\nhead_clearance_m: 0.1"))
+
+
 def test_every_number_of_a_file_makes_another_benchmark(tmp_path):
     digests = {load_benchmark("r2h-v1").digest}
     lines = [

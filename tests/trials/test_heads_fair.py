@@ -1,6 +1,7 @@
 """Nobody's head is in the way when a trial begins: it meets neither the own hand and arm, nor ball, table and robot at home.
 
 All by NumPy but the distance from the robot, which is planning's own (tests/judge/test_person.py has it against MuJoCo C).
+Robot and object are farther off by what a benchmark has them keep from the head: the robot at home, the object where it rests.
 `pytest -m slow tests/trials/test_heads_fair.py` asks 1,000 trials of r2h-v2 and 200 of each other benchmark, group and robot.
 """
 
@@ -16,6 +17,7 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.data.people import WORDS, built_in_people
 from r2h_batch.judge.distance import person_distance_at
+from r2h_batch.observe.known import known_moments
 from r2h_batch.scene import load_robot
 from r2h_batch.scene.person import heads_of
 
@@ -72,7 +74,19 @@ def rooms(benchmark, trials):
     bodies = scene.body_poses(trials.object_index, trials.hand_index, eye, trials.T_world_hand, torch.zeros(n))
     q = torch.tensor(place.home_q, dtype=torch.float32).repeat(n, 1)
     active = torch.ones(n, dtype=torch.bool)
-    found["robot at home"] = person_distance_at(scene, bodies, far, q, active, heads_of(trials.receiver))[0].numpy()
+    at_home = person_distance_at(scene, bodies, far, q, active, heads_of(trials.receiver))[0].numpy()
+    found["robot at home"] = at_home + benchmark.head_clearance_m
+    if "pick" in benchmark.asks:  # the ball about the object where it rests
+        at = known_moments(scene).of(trials).double().numpy()
+        models = [scene.objects[i] for i in trials.object_index.tolist()]
+        middle = np.stack([o.hull_vertices.mean(0) for o in models])
+        size = np.array(
+            [np.linalg.norm(o.hull_vertices - c, axis=1).max() for o, c in zip(models, middle, strict=True)]
+        )
+        place = np.einsum("nij,nj->ni", at[:, :3, :3], middle) + at[:, :3, 3]
+        found["resting object"] = (
+            to_segment(place[:, None], low, high)[:, 0] - radius - size - benchmark.head_clearance_m
+        )
     return {name: float(x.min()) for name, x in found.items()}
 
 
@@ -80,7 +94,7 @@ def rooms(benchmark, trials):
 def test_no_head_is_in_the_way_when_a_trial_begins(kind):
     benchmark = KINDS[kind]()
     found = rooms(benchmark, benchmark.trials(20))
-    assert len(found) == 6 and min(found.values()) > 0, found
+    assert len(found) == 6 + ("pick" in benchmark.asks) and min(found.values()) > 0, found
 
 
 @pytest.mark.slow

@@ -26,10 +26,13 @@ SAME_M = 2e-4
 """MuJoCo's depth of an overlap may be this much below the evaluator's bound: convex pieces against meshes."""
 
 
-@pytest.fixture(scope="module")
-def at_heads(tmp_path_factory):
-    """A run of r2h-v2 in which an object is held out 5 cm before the middle of each receiver's head."""
-    folder, benchmark = tmp_path_factory.mktemp("heads"), load_benchmark("r2h-v2")
+@pytest.fixture(scope="module", params=[0.0, 0.1], ids=["free", "10 cm"])
+def at_heads(request, tmp_path_factory):
+    """A run in which an object is held out 5 cm before the middle of each receiver's head, and what is to be kept from that."""
+    folder = tmp_path_factory.mktemp("heads")
+    file = folder / "own.yaml"
+    file.write_text(f"protocol: r2h-v2\nhead_clearance_m: {request.param}\n")
+    benchmark = load_benchmark(file)
     trials = benchmark.trials(8)
     answer = fc.predict(trials, Evaluator(benchmark).scene)
     head = heads_of(trials.receiver)[:, :, :3].mean(1)
@@ -38,12 +41,16 @@ def at_heads(tmp_path_factory):
     T[:, :2, 3] -= 0.1 * head[:, :2] / head[:, :2].norm(dim=1, keepdim=True)
     write_predictions(folder / "heads.npz", replace(answer, T_world_ee=T, method="heads"))
     line = ["--predictions", str(folder / "heads.npz"), "--trials", "8", "--execute.sim", "none"]
-    assert sweep.main([*line, "--benchmark", "r2h-v2", "--out", str(folder / "run")]) == 0
-    return folder / "run"
+    assert sweep.main([*line, "--benchmark", str(file), "--out", str(folder / "run")]) == 0
+    file.unlink()  # the run folder has it
+    return folder / "run", request.param
 
 
 def test_who_holds_an_object_into_the_head_is_told_so_in_words_and_picture(at_heads):
-    reader = Reader(at_heads)
+    run, kept = at_heads
+    reader = Reader(run)
+    assert reader.run.header.get("head_clearance_m", 0.0) == kept
+    told = "within 10 cm of the head" if kept else "receiver head"
     rows = [r for r in reader.rows("heads").to_pylist() if r["plan_reason"] == "ik_in_collision"]
     found = []
     for row in each(rows):
@@ -51,15 +58,18 @@ def test_who_holds_an_object_into_the_head_is_told_so_in_words_and_picture(at_he
         if "receiver/head" not in drawing.witness.geoms:
             continue
         found.append(row["trial_id"])
-        assert drawing.stored.asked.nearest.other == "head" and "receiver head" in drawing.witness.caption
-        assert "receiver head" in str(explanation(reader, row["trial_id"], "heads"))
+        assert drawing.stored.asked.nearest.other == "head" and told in drawing.witness.caption
+        why = explanation(reader, row["trial_id"], "heads")
+        assert told in why.witness and ("within 10 cm of the head" in why.why) == bool(kept)
+        assert "receiver head" not in str(why) or not kept
+        assert not kept or f"by {-1e3 * row['margin_plan_m']:.1f} mm or more" in why.witness
         (mark,) = [
             m for m in drawing.marks if m.group == "witness" and m.geom == drawing.model.geom("receiver/head").id
         ]
         low, high = heads_of(torch.from_numpy(drawing.stored.receiver[None]).float())[0].double().numpy()
         data, size = drawing.at(drawing.stored.target_q), drawing.model.geom_size[mark.geom]
         assert np.allclose(data.geom_xpos[mark.geom], 0.5 * (low + high)[:3], atol=1e-6)
-        assert np.allclose(size[:2], [low[3], 0.5 * np.linalg.norm((high - low)[:3])], atol=1e-6)
+        assert np.allclose(size[:2], [low[3] + kept, 0.5 * np.linalg.norm((high - low)[:3])], atol=1e-6)
     assert len(found) >= 4
 
 
