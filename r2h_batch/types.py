@@ -537,7 +537,7 @@ class PickedScores(Scores):
 
     pick: Int32[Tensor, "b 3"]
 
-    own_asks = ("pick",)
+    own_asks: ClassVar[tuple[str, ...]] = ("pick",)
 
 
 @dataclass(frozen=True, repr=False)
@@ -550,4 +550,4 @@ class GivenScores(PickedScores):
 
     receives: Int32[Tensor, "b 2"]
 
-    own_asks = ("pick", "received")
+    own_asks: ClassVar[tuple[str, ...]] = ("pick", "received")
