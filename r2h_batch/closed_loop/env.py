@@ -1,6 +1,7 @@
 """`HandoverEnv`: handovers in closed loop, kinematic, as a Gymnasium vector environment.
 
-The object is in the gripper and the arm at home when an episode begins. Each step the policy sees the
+The object is in the gripper and the arm at home when an episode begins; where the benchmark asks for Pick, the arm is where
+it has lifted the object from the table. Each step the policy sees the
 hand as a camera does (noise, latency, drop-outs) and says how to go on. A row does not depend on its
 batch. Definitions: docs/closed_loop.md.
 """
@@ -39,6 +40,7 @@ from r2h_batch.closed_loop.fingers import OwnHands
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion, Taken, rows_of_seeds
 from r2h_batch.closed_loop.registered import register
 from r2h_batch.closed_loop.relative import CAP_M, Passed, RelativeDistance
+from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.distance import person_distance
 from r2h_batch.judge.grasp import attach
 from r2h_batch.judge.motion.execute import nothing_pushes
@@ -97,7 +99,7 @@ class End(IntEnum):
     COLLISION = 3
     """the robot or the object came to the table, or the robot to itself or to the object"""
     DROP = 4
-    """the gripper does not hold the object (Stability)"""
+    """the gripper does not hold the object (Stability), or where the benchmark asks for Pick, it was not lifted from the table"""
     NOT_RECEIVED = 5
     """the object is held out within reach, but the hand cannot take it: fingers are on the receiver's region
     (Affordance), gripper or a sharp part come to the hand first (Presented, where the benchmark asks for it), no grasp of the
@@ -120,6 +122,7 @@ class Why(IntEnum):
     NOT_STILL = 9
     LATE = 10
     NOT_PRESENTED = 11
+    NOT_LIFTED = 12
 
 
 WORDS = np.array(
@@ -136,6 +139,7 @@ WORDS = np.array(
         "the object moved while the hand took it",
         "the horizon came first",
         "the wanted part was not what the hand came to first",
+        "the plan does not lift the object from the table and carry it",
     ]
 )
 _NAMES = np.array([end.name.lower() for end in End])
@@ -259,7 +263,8 @@ class HandoverEnv(VectorEnv):
 
     `infos["trial_id"]` names the handovers, and `reset(options={"trial_id": ...})` asks for some.
 
-    The object is in the gripper on every benchmark.
+    The object is in the gripper on every benchmark. Where it asks for Pick, an episode begins where the plan has lifted the
+    object from the table; a row whose plan does not lift and carry it ends at once (`drop`).
     """
 
     @suggest_names
@@ -309,6 +314,12 @@ class HandoverEnv(VectorEnv):
         self.autoreset_mode = mode  # TorchRL reads it here, Gymnasium in the metadata
         self.metadata = {**self.metadata, "autoreset_mode": mode}
         self.privileged, self.scene = privileged, self.evaluator.scene
+        self._from_table = "pick" in self.scene.benchmark.asks
+        self._holding = self.evaluator
+        if self._from_table:  # how it is held out does not depend on how it was picked
+            asks = tuple(a for a in self.scene.benchmark.asks if a == "presented")
+            held = replace(self.scene.benchmark, asks=asks)
+            self._holding = Evaluator(held, self.evaluator.config, device=self.scene.device)
         self._sees_person = self.evaluator.config.receiver == "body"
         self.num_envs, self.step_s = num_envs or n, 1.0 / self.config.rate_hz
         self._device = torch.device(self.scene.device)
@@ -365,6 +376,14 @@ class HandoverEnv(VectorEnv):
         person = self.trials.receiver
         self._heads = None if person is None else heads_of(person.to(self._device))
         self._held = shut & scores.passed[:, CRITERIA.index("stability")]
+        home = torch.tensor(
+            self.scene.config.workplace.home_q, dtype=torch.float32, device=self._device
+        )
+        self._begins_at = home.repeat(len(rows), 1)
+        self._lifted = torch.ones_like(self._held)
+        if self._from_table:
+            self._lifted = scores.path_len > 0
+            self._begins_at = torch.where(self._lifted[:, None], scores.path[:, 0], home)
         eye = torch.eye(4, dtype=torch.float32, device=self._device)
         grasp, pose = (
             se3.orthonormalise(torch.where(shut[:, None, None], T.to(self._device), eye))
@@ -539,21 +558,17 @@ class HandoverEnv(VectorEnv):
     def _start(self, mask: Tensor) -> None:
         """Sets rows to the beginning of an episode."""
         rows = torch.nonzero(mask).flatten()
-        home = torch.tensor(
-            self.scene.config.workplace.home_q, dtype=torch.float32, device=self._device
-        )
         self.q, self.qd = (x.clone() for x in (self.q, self.qd))
-        self.q[rows], self.qd[rows] = home, 0.0
+        self.q[rows], self.qd[rows] = self._begins_at[rows], 0.0
         self.k_of[rows] = 0
-        self.ends[rows] = torch.where(self._held[rows], int(End.RUNNING), int(End.DROP)).to(
-            torch.int8
-        )
-        self._why[rows] = torch.where(self._held[rows], int(Why.RUNNING), int(Why.NOT_HELD)).to(
-            torch.int8
-        )
+        held, lifted = self._held[rows], self._lifted[rows]
+        begins = held & lifted
+        self.ends[rows] = torch.where(begins, int(End.RUNNING), int(End.DROP)).to(torch.int8)
+        why = torch.where(held, int(Why.NOT_LIFTED), int(Why.NOT_HELD))
+        self._why[rows] = torch.where(begins, int(Why.RUNNING), why).to(torch.int8)
         for counted in (*self._sums.values(), *self._worst.values()):
             counted[rows] = 0.0
-        self._ended_s[rows] = torch.where(self._held[rows], torch.inf, 0.0).float()
+        self._ended_s[rows] = torch.where(begins, torch.inf, 0.0).float()
         self._by_robot[rows], self._at_take[rows] = False, 0.0
         if (own := self._distance.own) is not None:
             own.put(rows, self._skin(rows))
@@ -572,7 +587,7 @@ class HandoverEnv(VectorEnv):
         else:
             self._poses, self._postures = [self.T_world_hand], [self.q]
         self._first[rows] = len(self._poses) - 1
-        self._finish(rows[self._held[rows] & (self.gap[rows] <= 0)], End.CONTACT, Why.HAND_CAME)
+        self._finish(rows[begins & (self.gap[rows] <= 0)], End.CONTACT, Why.HAND_CAME)
         if cut := int(self._first.min()):  # nobody asks for what was before
             del self._poses[:cut], self._postures[:cut]
             self._first = self._first - cut
@@ -738,7 +753,7 @@ class HandoverEnv(VectorEnv):
             "success": ends == int(End.SUCCESS),
             "trial_id": self.scores.trial_id.cpu().numpy(),
             "least_m": self._least.cpu().numpy(),
-            "margins": {name: margin[:, i] for i, name in enumerate(CRITERIA)},
+            "margins": {name: margin[:, i] for i, name in enumerate(self.scores.criteria)},
         }
         if before is not None:
             ended = (before.cpu().numpy() == int(End.RUNNING)) & (ends != int(End.RUNNING))
@@ -930,7 +945,10 @@ class HandoverEnv(VectorEnv):
         inputs = self.scores.inputs
         assert inputs is not None
         poses = inputs.T_obj_ee[rows], self.T_world_ee[rows].float()
-        return self.evaluator.score(*poses, self._trials_now(rows), stages="pose")
+        trials = self._trials_now(rows)
+        if self._from_table:
+            trials = trials.named(self.scene.objects)
+        return self._holding.score(*poses, trials, stages="pose")
 
     def _trials_now(self, rows: Tensor) -> Trials:
         """Trials with the receivers where they are."""

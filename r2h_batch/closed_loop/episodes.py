@@ -42,7 +42,7 @@ def policy_of(spec: str) -> tuple[Any, str]:
 
 
 def check_in_gripper(benchmark: Benchmark) -> None:
-    """That episodes can be played on a benchmark: they begin with the object in the gripper.
+    """That a sweep can play episodes on a benchmark: those of stored runs begin at home with the object in the gripper.
 
     Args:
         benchmark: whose trials are to be played.
@@ -52,8 +52,8 @@ def check_in_gripper(benchmark: Benchmark) -> None:
     """
     if "pick" in benchmark.asks:
         raise UsageError(
-            f"a closed loop begins with the object in the gripper, and trials of {benchmark.name} begin on the table;"
-            " r2h_batch 0.3 played these, this version does not; take r2h-v2"
+            f"a sweep's closed loop begins with the object in the gripper, and trials of {benchmark.name} begin on the table;"
+            " take r2h-v2, or gymnasium.make_vec('r2h_batch/Handover-v3'), whose episodes begin where the object is lifted"
         )
 
 

@@ -22,7 +22,6 @@ from r2h_batch.base.validate import (
     text,
 )
 from r2h_batch.closed_loop.env import HandoverEnv, LoopConfig, SingleHandoverEnv, checked_motion
-from r2h_batch.closed_loop.episodes import check_in_gripper
 from r2h_batch.closed_loop.moving import ReceiverMotion
 from r2h_batch.config import EvalConfig
 from r2h_batch.sweep.jobs import make_jobs, prepare
@@ -129,11 +128,12 @@ def make_vector(
         num_envs: handovers at once.
         method: who says grasps and handover poses: a word of `r2h-batch ls methods`, or your package.module:function.
         motion: of the receivers, or its name.
-        benchmark: whose trials, or what `load_benchmark` takes; None: the default one. None that asks for Pick: episodes
-            begin with the object in the gripper.
+        benchmark: whose trials, or what `load_benchmark` takes; None: the default one. Where it asks for Pick, episodes begin
+            where the object is lifted.
         splits: S0, S1 or both.
         trials: trials of each split; None: at least 30, and enough for `num_envs`. Those whose object the gripper
-            cannot hold are left out. Episodes after the first take the next trial in turn.
+            cannot hold, or (where it asks for Pick) that are not lifted and carried, are left out. Episodes after the first
+            take the next trial in turn.
         preset: how the benchmark plans.
         device: `cpu`, `cuda` or `cuda:N`.
         threads: CPU threads; None: all cores.
@@ -160,7 +160,6 @@ def make_vector(
     if not isinstance(benchmark, Benchmark):
         benchmark = load_benchmark(DEFAULT_BENCHMARK if benchmark is None else benchmark)
     named = {name: more[name] for name in _WAYS if name in more}
-    check_in_gripper(benchmark)
     checked_motion(motion, autoreset=autoreset, **named)  # a method answers for seconds
     chosen = (splits,) if isinstance(splits, str) else sequence_of(str)("splits", splits)
     one_of(*PRESET_NAMES)("preset", preset)
@@ -175,7 +174,10 @@ def make_vector(
     asked = setting.trials(setting.ids(0, setting.planned)).to(setting.evaluator.scene.device)
     answer = jobs[0].predict(asked, None)
     scores = setting.evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
-    scores = scores[torch.nonzero(scores.passed[:, CRITERIA.index("stability")]).flatten().cpu()]
+    plays = scores.passed[:, CRITERIA.index("stability")]
+    if "pick" in benchmark.asks:
+        plays = plays & (scores.path_len > 0)
+    scores = scores[torch.nonzero(plays).flatten().cpu()]
     if len(scores) < num_envs:
         held = f"{method} holds the object in {len(scores)} of {len(asked)} trials"
         raise ValueError(f"{held}, and num_envs is {num_envs}; give more trials=")

@@ -18,7 +18,7 @@ def test_trials_that_begin_on_the_table_are_refused_before_one_is_judged(tmp_pat
     line = ["--benchmark", "r2h-v3-draft", "--method", "random", "--trials", "1", "--receiver-motion", "moves"]
     assert main([*line, "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "trials of r2h-v3-draft begin on the table" in said and "r2h_batch 0.3 played these" in said
+    assert "trials of r2h-v3-draft begin on the table" in said and "r2h_batch/Handover-v3" in said
     assert not (tmp_path / "run" / "run.json").exists()
 
 

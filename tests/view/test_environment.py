@@ -2,17 +2,21 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium.error import ClosedEnvironmentError
 from gymnasium.utils.env_checker import check_env
 from needs import needs
 
 from r2h_batch.base.errors import UsageError
-from r2h_batch.closed_loop.env import LoopConfig
-from r2h_batch.closed_loop.registered import ID, register
+from r2h_batch.closed_loop.env import End, HandoverEnv, LoopConfig
+from r2h_batch.closed_loop.episodes import play
+from r2h_batch.closed_loop.policies import POLICIES
+from r2h_batch.closed_loop.registered import FROM_TABLE, ID, register
 from r2h_batch.view import environment
 
 SMALL = {"method": "random", "trials": 3, "config": LoopConfig(horizon_s=1)}
@@ -54,12 +58,6 @@ def test_a_vector_of_them_is_made_by_name_and_plays():
         (ID, {"privileged": "yes"}, TypeError, "privileged is 'yes'"),
         (ID, {"autoreset": 1}, TypeError, "autoreset is 1"),
         (ID, {"render_mode": ["rgb_array"]}, ValueError, "render_mode is .*; allowed are None and 'rgb_array'"),
-        (
-            ID,
-            {"benchmark": "r2h-v3-draft"},
-            UsageError,
-            "trials of r2h-v3-draft begin on the table; r2h_batch 0.3 played",
-        ),
     ],
 )
 def test_a_wrong_argument_is_refused_before_a_method_answers(name, wrong, error, words, monkeypatch):
@@ -68,14 +66,22 @@ def test_a_wrong_argument_is_refused_before_a_method_answers(name, wrong, error,
         gymnasium.make_vec(name, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
 
 
-@pytest.mark.check
-@pytest.mark.parametrize("make", [gymnasium.make, gymnasium.make_vec])
-def test_an_episode_that_begins_on_the_table_has_no_name_until_r2h_v3_is_whole(make):
+def test_an_episode_from_the_table_begins_where_its_plan_has_lifted_the_object():
     register()
-    with pytest.raises(gymnasium.error.VersionNotFound) as refused:
-        make("r2h_batch/Handover-v3")
-    said = str(refused.value)
-    assert "\n" not in said and "`v3`" in said and "`v1`" in said
+    how = {"trials": 3, "output": "torch", "motion": "still", "action": "posture", "autoreset": False}
+    envs = gymnasium.make_vec(FROM_TABLE, num_envs=4, vectorization_mode="vector_entry_point", **how).unwrapped
+    seen, info = envs.reset(seed=0)
+    home = torch.tensor(envs.scene.config.workplace.home_q, dtype=torch.float32)
+    assert "pick" in envs.scene.benchmark.asks and torch.equal(seen["q"], envs.scores.path[:, 0])
+    assert ((seen["q"] - home).abs().amax(1) > 0.1).all() and set(info["margins"]) >= {"pick", "presented", "received"}
+    ends = play(envs, POLICIES["planned"]).end
+    assert (ends == int(End.SUCCESS)).sum() >= 3, ends
+    unplanned = replace(envs.scores, path_len=torch.zeros_like(envs.scores.path_len)).with_inputs(envs.scores.inputs)
+    env = HandoverEnv(unplanned, "still")
+    _, info = env.reset(seed=0)
+    assert set(info["end"]) == {"drop"} and set(info["why"]) == {
+        "the plan does not lift the object from the table and carry it"
+    }
 
 
 @needs("gl")
