@@ -12,6 +12,7 @@ from r2h_batch.base.command_line import Command, exit_code_of, failed, parse, re
 from r2h_batch.base.errors import nearest
 from r2h_batch.base.gone import gone
 from r2h_batch.base.package import VERSION
+from r2h_batch.plugins import PluginError
 from r2h_batch.strangers import end_without_threads
 
 COMMANDS = {
@@ -56,6 +57,8 @@ def _main(given: Sequence[str], prog: str) -> int:
         command = command_of(name)
     except KeyboardInterrupt:  # while it is imported; what it does itself, `exit_code_of` hears
         return refuse(name, "interrupted", 130)
+    except PluginError as error:  # criteria of packages are read with the words of verdicts
+        return refuse(name, error)
     if name == "sweep":
         return int(command(given[1:], prog=f"{prog} {name}"))
     return run_command(command, given[1:], prog=f"{prog} {name}", name=name)

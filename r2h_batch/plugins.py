@@ -39,21 +39,35 @@ What is in no package is `module:function` on a command line (`base.user_code.ch
 
 import difflib
 import pkgutil
+import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import lru_cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Generic, TypeVar
 
+from r2h_batch import strangers
+from r2h_batch.strangers import stranger, words_of
+
 GROUP = "r2h_batch.plugins"
 """The group of entry points in which other packages name what they add."""
+
+SLOW_S = 3.0
+"""A package whose import takes longer is named."""
 
 T = TypeVar("T")
 U = TypeVar("U")
 
 
 class PluginError(ValueError):
-    """A name that is unknown or taken, or a package that cannot be imported, in one line."""
+    """A name that is unknown or taken, or a fault of another package, in one line."""
+
+
+class PackageError(PluginError):
+    """A fault of another package: one line that names the package and its entry point. A command ends with exit code 1."""
+
+    exit_code = 1
 
 
 class Registry(Generic[T]):
@@ -66,6 +80,7 @@ class Registry(Generic[T]):
             is asked for that is not here yet.
         names: names that those modules give, in the order in which lists show them.
         light: these names are all that those modules give, so lists need not import them.
+        wrong: of a name and a thing of another package, what is wrong with it in words; empty where it may be used.
     """
 
     def __init__(
@@ -76,8 +91,9 @@ class Registry(Generic[T]):
         modules: Sequence[str] = (),
         names: Sequence[str] = (),
         light: bool = False,
+        wrong: Callable[[str, Any], str] = lambda name, thing: "",
     ) -> None:
-        self.kind = kind
+        self.kind, self._wrong = kind, wrong
         self._things: dict[str, T] = dict(things or {})
         self._modules, self._names, self._light = list(modules), tuple(names), light
         self._declared: dict[str, EntryPoint] | None = None
@@ -96,8 +112,10 @@ class Registry(Generic[T]):
         """Registers a thing.
 
         Raises:
-            PluginError: the name is another thing's. A module that is imported anew may repeat its own.
+            PluginError: the name is another thing's, or the thing is wrong. A module that is imported anew may repeat its own.
         """
+        if name not in self._things and (words := self._wrong(name, thing)):
+            raise PackageError(f"{self.kind} {name!r} ({_place(thing)}): {words}")
         old, new = _place(self._things.get(name, thing)), _place(thing)
         if old != new:
             raise PluginError(
@@ -144,6 +162,17 @@ class Registry(Generic[T]):
         """The thing of this name where it is here already; nothing is imported."""
         return self._things.get(name)
 
+    def entry(self, name: str) -> str:
+        """Whose thing this is, for messages: the entry point and its package, or where the thing stands.
+
+        Args:
+            name: of a thing that is here.
+        """
+        declared = self._declared_names().get(name)
+        return (
+            f"{self.kind} {name} of {_place(self[name])}" if declared is None else _named(declared)
+        )
+
     def outside(self, name: str) -> str:
         """`module:name` of a function or class of somebody else's; empty for ours.
 
@@ -181,7 +210,7 @@ class Registry(Generic[T]):
                     self._import_ours()
                 if name in found or name in self._names or name in self._things:
                     other = _owner(found[name]) if name in found else "r2h_batch"
-                    raise PluginError(
+                    raise PackageError(
                         f"{_owner(entry)} calls a {self.kind} {name!r}, and so does {other}; rename it in its entry points or"
                         " uninstall it"
                     )
@@ -191,7 +220,10 @@ class Registry(Generic[T]):
 
     def _load(self, declared: Mapping[str, EntryPoint], name: str) -> None:
         if name in declared:
-            self.add(name, _loaded(declared[name]))
+            thing = _loaded(declared[name])
+            if words := self._wrong(name, thing):
+                raise PackageError(f"{_named(declared[name])}: {words}")
+            self.add(name, thing)
 
     def _import_strangers(self) -> None:
         """Imports the modules of other packages that register what they add."""
@@ -215,14 +247,36 @@ def installed() -> tuple[EntryPoint, ...]:
 
 def _loaded(entry: EntryPoint) -> Any:
     try:
-        return entry.load()
-    except PluginError:
+        with _told_if_slow(_named(entry)), stranger(_named(entry), entry.module):
+            return entry.load()
+    except KeyboardInterrupt:
         raise
-    except Exception as error:  # the stranger's code runs
-        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise PluginError(
-            f"{entry.value} of {_owner(entry)} cannot be imported ({what}); mend the package or uninstall it"
+    except BaseException as error:  # SystemExit too: the stranger's code runs
+        what = str(error) if isinstance(error, PluginError) else words_of(error)
+        raise PackageError(
+            f"{_named(entry)} cannot be imported ({what}); mend the package or uninstall it"
         ) from error
+
+
+@contextmanager
+def _told_if_slow(name: str) -> Iterator[None]:
+    done = threading.Event()
+
+    def speak() -> None:
+        seconds = 0.0
+        while not done.wait(SLOW_S):
+            seconds += SLOW_S
+            strangers.say(f"importing {name}: {seconds:.0f} s so far")
+
+    threading.Thread(target=speak, name="import of another package", daemon=True).start()
+    try:
+        yield
+    finally:
+        done.set()
+
+
+def _named(entry: EntryPoint) -> str:
+    return f"{entry.name} = {entry.value} of {_owner(entry)}"
 
 
 def _owner(entry: EntryPoint) -> str:

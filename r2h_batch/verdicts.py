@@ -9,7 +9,8 @@ from enum import IntEnum
 from itertools import combinations
 from typing import Any, Literal, NamedTuple
 
-from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.plugins import PackageError, Registry
+from r2h_batch.strangers import stranger, words_of
 
 SPLITS = ("S0", "S1")
 """S0: free handover; S1: functional, the receiver wants a certain part of the object."""
@@ -83,6 +84,26 @@ class CriterionEntry(NamedTuple):
         """The stored column of what its margins mean (`MarginKind`)."""
         return f"margin_kind_{self.name}"
 
+    def concerns(self, model: Any) -> bool:
+        """Whether an object is judged by it.
+
+        Args:
+            model: an ObjectModel.
+
+        Raises:
+            PackageError: `applies` of another package raised something.
+        """
+        if self.applies is None:
+            return True
+        whose = CRITERION.entry(self.name)
+        try:
+            with stranger(whose, self.applies.__module__):
+                return bool(self.applies(model))
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit too
+            raise PackageError(f"{whose}: its `applies` raised {words_of(error)}") from error
+
     @property
     def equation(self) -> tuple[str, str]:
         """Module and name of the function that judges by it, from `judge.metrics.Evidence` to `Criterion`."""
@@ -121,19 +142,73 @@ CRITERION: Registry[CriterionEntry] = Registry("criterion", {entry.name: entry f
 imported here, so they may import this file and the standard library alone."""
 
 
+NO_LONGER = ("taken",)
+"""Criteria that rows of r2h_batch 0.3 and before may be judged by, and no benchmark asks for any more. Such rows keep the
+outcomes of these names; their columns are not read."""
+
+ELSEWHERE = "other_criterion"
+"""Read in the place of the outcome of a criterion that is not known here: its package is not installed. No row is stored so."""
+
+NO_CRITERION = (
+    "success",
+    "invalid_input",
+    "invalid_sim",
+    "missing",
+    ELSEWHERE,
+    *NO_LONGER,
+    "s0",
+    "s1",
+    "avg",
+)
+"""Words that stand beside criteria in stored rows and tables."""
+
+NUMBERS = (
+    *(
+        "sr",
+        "t_plan_s",
+        "t_exec_s",
+        "t_tot_s",
+        "t_method_s",
+        "invalid",
+        "missing",
+        "presented",
+        "upright",
+    ),
+    *("presented_before_0_4", "body_met", "through", "pick"),
+)
+"""Keys of tables that are rates of no criterion."""
+
+OTHER_KEYS = re.compile("split|method|object|few|(n|sr|turn)(_.*)?|.*_(low|high|of|n)")
+"""Names of other values of a record."""
+
+_KINDS = {
+    **dict.fromkeys(("name", "rate", "heading", "color", "since", "unit", "function", "means", "fails", "behind"), str),
+    "column": int, "splits": tuple, "touching_passes": bool, "asked": bool,
+}  # fmt: skip
+
+
 def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
     """An entry that somebody added.
 
     Raises:
-        PluginError: one line: what is wrong with it, and what is allowed.
+        PackageError: one line: what is wrong with it, and what is allowed.
     """
+    whose = CRITERION.entry(place)
     if not isinstance(entry, CriterionEntry) or entry.name != place:
-        raise PluginError(
-            f"criterion {place!r} is {entry!r:.100}; it must be a CriterionEntry of that name"
-        )
+        raise PackageError(f"{whose}: is {entry!r:.100}; it must be a CriterionEntry of that name")
+    for field, kind in _KINDS.items():
+        if not isinstance(value := getattr(entry, field), kind):
+            raise PackageError(f"{whose}: {field} is {value!r:.100}; it must be a {kind.__name__}")
     wrong = {
-        "name": not re.fullmatch("[a-z][a-z0-9_]*", entry.name),
-        "rate": entry.rate in ("sr", *(own.rate for own in _OURS)),
+        "name": not re.fullmatch("[a-z][a-z0-9_]{0,40}", entry.name) or entry.name in NO_CRITERION,
+        "rate": not re.fullmatch("[a-z][a-z0-9_]{0,40}", entry.rate)
+        or entry.rate in (*NUMBERS, *(own.rate for own in _OURS))
+        or bool(OTHER_KEYS.fullmatch(entry.rate)),
+        "heading": not entry.heading.isprintable()
+        or entry.heading in ("", *(own.heading for own in _OURS)),
+        "color": not re.fullmatch("#[0-9a-f]{6}", entry.color),
+        "applies": entry.applies is not None and not callable(entry.applies),
+        "function": not re.fullmatch(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*", entry.function),
         "unit": entry.unit not in UNITS,
         "splits": not entry.splits or not set(entry.splits) <= set(SPLITS),
         "since": not entry.since,
@@ -142,15 +217,34 @@ def _checked(entry: CriterionEntry, place: str) -> CriterionEntry:
     }
     if bad := [field for field, is_wrong in wrong.items() if is_wrong]:
         value = getattr(entry, bad[0])
-        raise PluginError(
-            f"criterion {entry.name!r}: {bad[0]} is {value!r}; name: small letters, rate: of no other criterion, unit:"
+        raise PackageError(
+            f"{whose}: {bad[0]} is {value!r:.100}; name: small letters, none of {', '.join(NO_CRITERION)}, rate: small letters,"
+            f" and the key of no other number, heading: of no other criterion, color: #rrggbb, function: module:function, unit:"
             f" {' or '.join(UNITS)}, splits: one of {', '.join(SPLITS)} or both (`applies` says for which objects), since: the"
             " version that judges by it first, asked: False (benchmarks ask for ours alone), behind: one of ours, or empty"
         )
     return entry
 
 
-_ALL = (*_OURS, *(_checked(CRITERION[name], name) for name in CRITERION.declared))
+def _declared() -> tuple[CriterionEntry, ...]:
+    """Those of other packages.
+
+    Raises:
+        PackageError: one is wrong, or two have one rate or heading.
+    """
+    found = [_checked(CRITERION[name], name) for name in CRITERION.declared]
+    for k, entry in enumerate(found):
+        for other in found[:k]:
+            for field in ("rate", "heading"):
+                if getattr(entry, field) == getattr(other, field):
+                    raise PackageError(
+                        f"{CRITERION.entry(entry.name)}: its {field} {getattr(entry, field)!r} is that of"
+                        f" {CRITERION.entry(other.name)}; rename it in one of the packages, or uninstall one"
+                    )
+    return tuple(found)
+
+
+_ALL = (*_OURS, *_declared())
 
 REGISTRY = tuple(entry for entry in _ALL if not entry.asked)
 """The criteria of every benchmark."""
@@ -177,10 +271,6 @@ MAY_ASK = tuple(
     if "received" not in names or "pick" in names
 )
 """What a benchmark may ask for: some of `ASKED_NAMES`, in their order. A person can take what was picked up alone."""
-
-NO_LONGER = ("taken",)
-"""Criteria that rows of r2h_batch 0.3 and before may be judged by, and no benchmark asks for any more. Such rows keep the
-outcomes of these names; their columns are not read."""
 
 
 def criteria_of(asks: Sequence[str]) -> tuple[CriterionEntry, ...]:
@@ -227,10 +317,6 @@ class Outcome(IntEnum):
 
 if [o.name.lower() for o in Outcome][1:-2] != [entry.name for entry in EVERY]:
     raise ValueError(f"new criteria stand behind {CRITERIA[4]}; REGISTRY has {', '.join(CRITERIA)}")
-
-
-ELSEWHERE = "other_criterion"
-"""Read in the place of the outcome of a criterion that is not known here: its package is not installed. No row is stored so."""
 
 
 class MarginKind(IntEnum):

@@ -28,6 +28,7 @@ from r2h_batch.base.io.log import LOG, silence
 from r2h_batch.base.io.progress import not_silent
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import expand_home, parse_number, parse_whole_number
+from r2h_batch.plugins import PluginError
 
 Command = Callable[..., Any]
 
@@ -201,7 +202,7 @@ def exit_code_of(name: str, work: Callable[[], int]) -> int:
     try:
         with contextlib.redirect_stdout(kept), _warnings_in_a_line(name), not_silent(name):
             code = work()
-    except UserError as error:
+    except (UserError, PluginError) as error:
         code = refuse(name, error)
     except MachineError as error:
         code = refuse(name, error, 1)

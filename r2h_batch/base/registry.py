@@ -5,7 +5,7 @@ Criteria are entries of `verdicts.REGISTRY`, policies of `closed_loop.policies.P
 `scene.families.family.FAMILIES`, robots of `scene.robot_file.ROBOTS`.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias
 
 from r2h_batch.plugins import Registry
@@ -106,10 +106,32 @@ _OURS = (
     Method("robust"),
 )
 METHOD_NAMES = tuple(entry.name for entry in _OURS)
-METHODS: Registry[Any] = Registry("method", {entry.name: entry for entry in _OURS})
+
+
+def _no_function(name: str, thing: Any) -> str:
+    ours = isinstance(thing, Method) or callable(thing)
+    return "" if ours else f"is {thing!r:.100}; it must be a function"
+
+
+METHODS: Registry[Any] = Registry(
+    "method", {entry.name: entry for entry in _OURS}, wrong=_no_function
+)
 """Built-in methods' entries, and functions that packages name as `method.NAME`."""
 
-QUESTIONS: Registry[Any] = Registry("question", names=("reception",), light=True)
+
+def _no_question(name: str, thing: Any) -> str:
+    fields = {"name": str, "version": int, "function": Callable, "schema": object}
+    right = all(isinstance(getattr(thing, field, None), kind) for field, kind in fields.items())
+    return (
+        ""
+        if right and thing.name == name
+        else f"is {thing!r:.100}; it must be a Question of that name"
+    )
+
+
+QUESTIONS: Registry[Any] = Registry(
+    "question", names=("reception",), light=True, wrong=_no_question
+)
 """Questions about stored rows (`sweep.results.questions.Question`) whose answers lie beside the shards, in RUN/NAME: ours add
 themselves when `sweep/results/NAME.py` is imported, and packages name theirs as `question.NAME`."""
 

@@ -17,7 +17,7 @@ from typing import Any
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
-from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.plugins import PackageError, PluginError, Registry
 from r2h_batch.strangers import __file__ as _GUARD
 from r2h_batch.strangers import stranger
 
@@ -135,6 +135,10 @@ def chosen(
         place = spec if ":" in spec else registry.outside(spec)
         if not place:
             return registry[spec], None
+        if ":" not in spec:
+            registry[spec]  # its package is named where it cannot be had
+    except PackageError:
+        raise
     except PluginError as error:
         raise ImportError(f"{error}; your own is {HOW.replace('function', kind)}") from None
     found = load_function(place, kind)

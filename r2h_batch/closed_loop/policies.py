@@ -22,7 +22,12 @@ from r2h_batch.plugins import Registry
 
 Observation = dict[str, Tensor]
 
-POLICIES: Registry[Any] = Registry("policy")
+POLICIES: Registry[Any] = Registry(
+    "policy",
+    wrong=lambda name, thing: (
+        "" if callable(thing) else f"is {thing!r:.100}; it must be a function or a class"
+    ),
+)
 """By their names in commands: classes of this file, and what packages name as `policy.NAME`."""
 
 SLOW_M, STOP_M = 0.10, 0.02

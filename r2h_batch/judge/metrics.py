@@ -20,6 +20,7 @@ from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.judge import at_handover
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.judge.distance import NearestApproach
+from r2h_batch.judge.foreign import ask
 from r2h_batch.judge.grasp import CUT_CAP_M, region_distance
 from r2h_batch.judge.presented import Presented
 from r2h_batch.judge.reach import Reached
@@ -174,10 +175,13 @@ def judge(evidence: Evidence) -> list[Criterion]:
 
 
 def _criterion(entry: CriterionEntry, e: Evidence) -> Criterion:
-    found = _function(entry)(e)
+    if entry.function:
+        found = ask(entry, lambda: _function(entry), e, e.held.active, Criterion)
+    else:
+        found = _function(entry)(e)
     if entry.applies is None:
         return found
-    concerned = _concerned(entry.applies, e.scene.objects, found.evaluated.device)
+    concerned = _concerned(entry, e.scene.objects, found.evaluated.device)
     return replace(found, evaluated=found.evaluated & concerned[e.held.objects.long()])
 
 
@@ -190,10 +194,10 @@ def _function(entry: CriterionEntry) -> Callable[[Evidence], Criterion]:
 
 @lru_cache(maxsize=64)
 def _concerned(
-    applies: Callable[[ObjectModel], bool], objects: tuple[ObjectModel, ...], device: torch.device
+    entry: CriterionEntry, objects: tuple[ObjectModel, ...], device: torch.device
 ) -> Bool[Tensor, " o"]:
     """Which objects a criterion concerns; asked once, for a GPU would wait for a copy from the host."""
-    return torch.tensor([bool(applies(o)) for o in objects], dtype=torch.bool, device=device)
+    return torch.tensor([entry.concerns(o) for o in objects], dtype=torch.bool, device=device)
 
 
 def stability(e: Evidence) -> Criterion:

@@ -267,7 +267,7 @@ def _about_object(model: "ObjectModel") -> dict[str, Any]:
     if (category := model.who.category) is not None:
         fields["category"] = category
     if any(entry.applies for entry in REGISTRY):
-        fields["concerned"] = [e.name for e in REGISTRY if e.applies is None or e.applies(model)]
+        fields["concerned"] = [e.name for e in REGISTRY if e.concerns(model)]
     return fields if model.repair is None else {**fields, "repair": asdict(model.repair)}
 
 
@@ -389,6 +389,11 @@ def resolve(sweep: Sweep) -> None:
             policy_of(loop.policy)
         except (ImportError, TypeError) as error:
             raise UsageError(f"--policy {loop.policy}: {error}") from None
+    for name in map(base_of, sweep.method):
+        if ":" not in name:
+            METHODS[
+                name
+            ]  # one of a package is looked at, and the package named where it cannot be had
     for name in sweep.names:
         _method(name, seeing=sweep.seeing is not None)
     if sweep.predictor and "predicted_contacts" in sweep.seen:

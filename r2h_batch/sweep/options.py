@@ -30,7 +30,7 @@ from r2h_batch.base.registry import (
 )
 from r2h_batch.base.user_code import HOW
 from r2h_batch.base.validate import expand_home
-from r2h_batch.plugins import PluginError
+from r2h_batch.plugins import PackageError, PluginError
 
 if TYPE_CHECKING:
     from r2h_batch.config import EvalConfig
@@ -672,6 +672,8 @@ def check_method(name: str) -> None:
         known = tuple(METHODS)
         if name in known and METHODS.outside(name):
             return
+    except PackageError:
+        raise
     except PluginError as error:
         raise UsageError(f"--method {name}: {error}") from error
     allowed = f"allowed are {', '.join(known)} or your own {HOW}"

@@ -9,7 +9,7 @@ from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.user_code import load_function
-from r2h_batch.plugins import PluginError
+from r2h_batch.plugins import PackageError, PluginError
 from r2h_batch.scene.families.family import FAMILIES, Family
 from r2h_batch.scene.objects import ObjectModel
 
@@ -126,6 +126,8 @@ def _read(text: str, prefix: str) -> tuple[tuple[Family, ...], int, int, bool]:
         names: Sequence[str] = [n.strip() for n in found["names"].split(",")]
         names = known if names == ["*"] else names
         families = tuple(_own(n) if ":" in n else _named(n, known) for n in names)
+    except PackageError:
+        raise
     except PluginError as error:
         raise FileError(str(error)) from None
     if len({f.category for f in families}) < len(families):

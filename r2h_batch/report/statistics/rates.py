@@ -9,9 +9,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from r2h_batch.config import BORDERLINE_M, UPRIGHT_DEG
-from r2h_batch.plugins import PluginError, Registry
+from r2h_batch.plugins import Registry
 from r2h_batch.runs import columns
-from r2h_batch.verdicts import ASKED, REGISTRY, CriterionEntry, Outcome
+from r2h_batch.verdicts import ASKED, OTHER_KEYS, REGISTRY, CriterionEntry, Outcome
 
 
 @dataclass(frozen=True)
@@ -154,7 +154,42 @@ _OURS = (
     ),
 )
 
-RATES: Registry[Share] = Registry("share")
+
+_COLUMNS = frozenset(column.name for column in columns.TRIALS)
+
+
+def _no_share(name: str, thing: object) -> str:
+    """What is wrong with a share of another package."""
+    if name in dict(_OURS):
+        return ""
+    if not isinstance(thing, Share) or not (thing.of is None or callable(thing.of)):
+        return f"is {thing!r:.100}; it must be a Share whose `of` is a function of a table"
+    if not thing.is_share:
+        return "counts outcomes or seconds; a package's share is of rows that it chooses itself"
+    if (
+        OTHER_KEYS.fullmatch(name)
+        or not re.fullmatch("[a-z][a-z0-9_]{0,40}", name)
+        or name in _COLUMNS
+    ):
+        return (
+            f"tables keep the name {name!r} for another value (a stored column, n_..., sr_..., ..._low, ..._high, ..._of), or it"
+            " is not of small letters; rename it"
+        )
+    for field in ("heading", "caption"):
+        value = getattr(thing, field)
+        if not isinstance(value, str) or not value.isprintable() or not value:
+            return f"{field} is {value!r:.100}; it must be a text of one line"
+    if thing.heading in {own.heading for _, own in _OURS}:
+        return f"its heading {thing.heading!r} is that of another number; rename it"
+    if not isinstance(thing.needs, tuple) or (
+        unknown := [c for c in thing.needs if c not in _COLUMNS]
+    ):
+        shown = thing.needs if not isinstance(thing.needs, tuple) else unknown[0]
+        return f"needs names {shown!r:.100}; it must be a tuple of stored columns of trials"
+    return "" if thing.higher in (None, True, False) else "higher must be True, False or None"
+
+
+RATES: Registry[Share] = Registry("share", wrong=_no_share)
 """Key in csv and json -> what it is: ours, those of criteria that packages name as `criterion.NAME`, and shares that they
 name as `share.NAME`. A name that is taken is refused."""
 for _name, _rate in _OURS:
@@ -174,21 +209,11 @@ OF_ALL = {n: r.outcomes for n, r in _OURS if r.outcomes and n not in ASKED_FAILU
 
 TIMES = tuple(n for n, r in _OURS if r.unit == "s")
 
-_TAKEN = re.compile("split|method|object|few|(n|sr|turn)(_.*)?|.*_(low|high|of|n)")
-"""Names of other values of a record."""
-
 
 def shares() -> dict[str, Share]:
     """The shares of rows: ours, then those of other packages.
 
     Raises:
-        PluginError: another package's has a name that is taken.
+        PackageError: another package's is wrong, or has a name that is taken.
     """
-    found = {name: RATES[name] for name in RATES if RATES[name].is_share}
-    ours = dict(_OURS)
-    for name in found:
-        if name not in ours and _TAKEN.fullmatch(name):
-            raise PluginError(
-                f"share {name!r}: tables keep this name for another value (n_..., sr_..., ..._low, ..._high, ..._of); rename it"
-            )
-    return found
+    return {name: RATES[name] for name in RATES if RATES[name].is_share}

@@ -7,9 +7,12 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from r2h_batch.base.user_code import raised
+from r2h_batch.plugins import PackageError
 from r2h_batch.report.statistics.codes import codes
-from r2h_batch.report.statistics.rates import Share, shares
+from r2h_batch.report.statistics.rates import RATES, Share, shares
 from r2h_batch.runs.store import Run
+from r2h_batch.strangers import stranger
 from r2h_batch.verdicts import SPLITS
 
 
@@ -25,15 +28,30 @@ def with_shares(rows: pa.Table) -> pa.Table:
         rows: with the columns that they need.
 
     Raises:
-        ValueError: a share has not one bool or null for each row.
+        PackageError: a share has not one bool or null for each row.
     """
     found = {}
     for name, share in counted_shares().items():
         assert share.of is not None
-        found[name] = share.of(rows)
-        if len(found[name]) != len(rows) or found[name].type not in (pa.bool_(), pa.null()):
-            what = f"{len(found[name])} values of type {found[name].type} for {len(rows)} rows"
-            raise ValueError(f"share {name}: {what}; it must be a bool or null for each row")
+        whose = RATES.entry(name)
+        try:
+            with stranger(whose, share.of.__module__):
+                column = share.of(rows)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:  # SystemExit too
+            raise PackageError(f"{whose}: {raised(error)}") from error
+        if not isinstance(column, (pa.Array, pa.ChunkedArray)):
+            shown = f"a {type(column).__name__}"
+        else:
+            shown = f"{len(column)} values of type {column.type}"
+            if len(column) == len(rows) and column.type in (pa.bool_(), pa.null()):
+                found[name] = column
+                continue
+        what = f"answers {shown} for {len(rows)} rows"
+        raise PackageError(
+            f"{whose}: {what}; it must be a column of pyarrow, a bool or null for each row"
+        )
     for name, column in found.items():
         if name in rows.column_names:
             rows = rows.drop_columns([name])

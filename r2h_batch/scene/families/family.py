@@ -145,8 +145,14 @@ def _by_name(module: str, name: str) -> Any:
     return getattr(import_module(module), name)
 
 
+def _no_family(name: str, thing: Any) -> str:
+    if not isinstance(thing, Family):
+        return f"is {thing!r:.100}; a family is a generator below @family(...)"
+    return "" if thing.category == name else f"calls itself {thing.category!r}; give both one name"
+
+
 FAMILIES: Registry[Family] = Registry(
-    "family", modules=("r2h_batch.scene.families",), names=OBJECT_NAMES
+    "family", modules=("r2h_batch.scene.families",), names=OBJECT_NAMES, wrong=_no_family
 )
 """Category -> family, those of the objects of r2h-v1 first, in their order."""
 
