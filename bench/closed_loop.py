@@ -6,7 +6,6 @@ for memory, and writes closed_loop_growth.json.
 """
 
 import argparse
-from collections.abc import Iterable
 from functools import partial
 from typing import Any
 
@@ -168,33 +167,9 @@ def shown(data: dict[str, Any]) -> dict[str, Any]:
     cases = [f"{m}, {p}" for m, p in CASES]
     rate = partial(rate_over_categories, trials=data["asked"])
     rows = [[short[name], rate(m["sr"]), *(rate(m["cases"][c]["won"]) for c in cases)] for name, m in methods.items()]
-    ends = []
-    for c in cases:
-        own = [m["cases"][c] for name, m in methods.items() if "Handover" in name]
-        rates = [_mean(s["by_robot"] / s["n"] for s in own)]
-        rates.append(_mean((s["ends"]["contact"] - s["by_robot"]) / s["n"] for s in own))
-        rates += [_mean(s["ends"][k] / s["n"] for s in own) for k in ("not_received", "timeout")]
-        times = [np.mean([s[k] for s in own]) for k in ("time_s", "least_m")]
-        ends.append([c, *(f"{100 * x:.1f}" for x in rates), f"{times[0]:.1f}", f"{100 * times[1]:.1f}"])
-    head = [
-        "hand, policy",
-        "robot touches hand",
-        "hand touches robot",
-        "not received",
-        "timeout",
-        "time, s",
-        "distance, cm",
-    ]
-    costs = [[r["trials"], f"{r['s_a_trial']:.2f}", f"{r['whole']:.2f}"] for r in data["cost"]]
     return {
         "table": markdown_table(["Method", "SR", *cases], rows),
-        "ends": markdown_table(head, ends),
-        "cost": markdown_table(["trials at once", "s a trial", "ms a trial and step"], costs),
     }
-
-
-def _mean(values: Iterable[float]) -> float:
-    return float(np.mean(list(values)))
 
 
 BENCH = Bench(

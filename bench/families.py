@@ -56,7 +56,6 @@ OTHERS = {
     "the hand alone": ("--receiver", "hand"),
     "candidates as generated": ("--candidates", "as-generated"),
 }
-OF_V1 = ("base", "protocol r2h-v0", *OTHERS, "plan-hand estimated", "error x 2")
 REGIONS = {
     "bottle": (("base",), ("body", "base")),
     "power drill": (("grip", "trigger"), ("grip",)),
@@ -541,62 +540,6 @@ def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:
     return "; ".join(words.values())
 
 
-def turn_lines(data: Mapping[str, Any]) -> str:
-    """Turn tests of both protocols."""
-    from r2h_batch.report.turn import words_for
-
-    lines = [
-        [
-            f"{protocol} {t['group']} {short(t['method'])}", t["n"], f"{t['rate']:.1f}",
-            *(f"{m['points']:+.1f} ({ends(m['low'], m['high'])})" for m in t["moves"]),
-            "^" if t["marked"] else "",
-        ]
-        for protocol, tests in data["turned"].items()
-        for t in tests
-    ]  # fmt: skip
-    turns = [words_for(m["turn"]) for m in next(iter(data["turned"].values()))[0]["moves"]]
-    return markdown_table(["", "N", "as it lies", *turns, "mark"], lines)
-
-
-def order_lines(data: Mapping[str, Any]) -> str:
-    """The order of the methods in every configuration that was measured."""
-
-    def line(name: str, sr: Mapping[str, float], decided: str) -> list[str]:
-        places = sorted(sr, key=lambda m: -sr[m])
-        return [name, *(f"{m} {sr[m]:.1f}" for m in places), decided]
-
-    lines = []
-    for name, own in data["orders"].items():
-        lines.append(line(f"{name} ({own['n']})", own["sr"], decided_words(own["decided"])))
-    choices = json.loads((ROOT / "docs" / "results" / "table1-v1-choices.json").read_text())
-    words = {"fc": "FC", "handover-va": "VA", "contact": "Contact", "intent": "Intent"}
-    for v in choices["variants"]:
-        if v["name"] in OF_V1:
-            sr = {words[m]: v["rates"][m]["Avg"]["sr"] for m in words}
-            decided = [
-                {"better": SHORT[who], "worse": SHORT[other], "new": False}
-                for pair, who in v["pairs"].items()
-                if who != "tied"
-                for other in pair.split(" / ")
-                if other != who
-            ]
-            name = "" if v["name"] == "base" else f", {v['name']}"
-            lines.append(line(f"r2h-v1{name} ({2 * choices['trials']})", sr, decided_words(decided)))
-    robots = json.loads((ROOT / "bench" / "results" / "robots.json").read_text())
-    for robot, own in robots["robots"].items():
-        sr = {SHORT[m]: row["sr"] for m, row in own["table"].items() if m in SHORT}
-        lines.append(line(f"{robots['benchmark']}, {robot} ({2 * robots['trials']})", sr, "not tested"))
-    return markdown_table(["objects, configuration (trials)", "1", "2", "3", "4", "significant"], lines)
-
-
-def decided_words(decided: Sequence[Mapping[str, Any]]) -> str:
-    """The decided pairs, each better method once; `*`: decided for these objects, not for new categories."""
-    found: dict[str, list[str]] = {}
-    for pair in decided:
-        found.setdefault(pair["better"], []).append(pair["worse"] + ("" if pair["new"] else "*"))
-    return "; ".join(f"{who} > {', '.join(others)}" for who, others in found.items()) or "none"
-
-
 def failure_lines(data: Mapping[str, Any]) -> str:
     """First failures of the four methods in each configuration of r2h-v2, least to most."""
     lines = [
@@ -612,112 +555,21 @@ def span(values: Collection[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def _from_best(sr: Mapping[str, float]) -> list[str]:
-    """Methods in the order of their success."""
-    return [m for _, m in sorted((-rate, m) for m, rate in sr.items())]
-
-
-def region_lines(data: Mapping[str, Any]) -> str:
-    """SR with each definition of a category's region, and the order that follows."""
-    lines = [
-        [
-            f"{r['category']}: {', '.join(p.replace('_', ' ') for p in r['parts'])}", f"{100 * r['area']:.0f}",
-            *(f"{r['sr'][m]:.1f}" for m in SHORT.values()), ", ".join(_from_best(r["sr"])),
-        ]
-        for r in data["regions"]
-    ]  # fmt: skip
-    return markdown_table(["category: parts of the region", "% of the surface", *SHORT.values(), "order"], lines)
-
-
-def spread_lines(data: Mapping[str, Any]) -> tuple[str, str]:
-    """Spreads and half widths of the methods, and what the pairs need."""
-    methods = [
-        [
-            m, *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
-            *(f"{half_width(own, c, i):.1f}" for c, i in ((16, 1), (16, 6), (16, 20), (32, 6))),
-        ]
-        for m, own in data["spreads"]["methods"].items()
-    ]  # fmt: skip
-    pairs = [
-        [
-            name, f"{own['difference']:+.1f}", *(f"{own[k]:.1f}" for k in ("s_c", "s_i", "s_t")),
-            f"{half_width(own, 16, 6):.1f}", *(own["needs"][m] or "> 1,000" for m in ("1", "6", "20")),
-        ]
-        for name, own in data["spreads"]["pairs"].items()
-    ]  # fmt: skip
-    return (
-        markdown_table(["SR", "s_c", "s_i", "s_t", "16 x 1", "16 x 6", "16 x 20", "32 x 6"], methods),
-        markdown_table(["pair", "points", "s_c", "s_i", "s_t", "16 x 6", "m = 1", "m = 6", "m = 20"], pairs),
-    )
-
-
 def network_report() -> dict[str, Any]:
     """The report of the contact network's training."""
     return json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())
 
 
-def network_tables(data: Mapping[str, Any]) -> dict[str, Any]:
-    """The contact network's report, and SR with it and with exact maps."""
-    report, both = network_report(), data["exact"]
-    frames = list(report["unseen_instances"])
-    left = {name: v for name, v in report["left_out"].items() if "region" in v[frames[0]]}
-    lines = [
-        [name, *(f"{report[key][frame]['region']:.2f}" for frame in frames)]
-        for name, key in (("unseen instances", "unseen_instances"), ("objects of r2h-v1", "built_in_objects"))
-    ]
-    own = [[v[frame]["region"] for v in left.values()] for frame in frames]
-    lines.append(["categories left out, mean", *(f"{np.mean(values):.2f}" for values in own)])
-    lines.append(["exact maps, unseen instances", f"{report['exact_maps']['region']:.2f}", "same"])
-    rates = [
-        [name, *(f"{own[s]['sr']:.1f}" for s in ("S0", "S1", "Avg")), f"{own['S1']['f_afford']:.1f}"]
-        for name, own in both.items()
-    ]
-    turned_one, one = report["unseen_instances"][frames[-1]], next(iter(left.values()))
-    return {
-        "areas": markdown_table(["area under the curve, region", *frames], lines),
-        "axes.turned_instances": turned_one["instances"],
-        "axes.as_they_lie": turned_one["region_as_they_lie"],
-        **{f"axes.{k}": report[k] for k in ("steps", "training_instances", "cpu_seconds")},
-        **{f"axes.left_out_{k}": one[k] for k in ("steps", "instances")},
-        "axes.of_each": ", ".join(f"{name.replace('_', ' ')} {v[frames[0]]['region']:.2f}" for name, v in left.items()),
-        "exact_rates": markdown_table(["Contact-Handover with", "SR S0", "SR S1", "SR Avg", "F_afford S1"], rates),
-        "share_of_exact": 100 * both["network"]["S1"]["sr"] / both["exact"]["S1"]["sr"],
-        "share_of_area": 100 * report["unseen_instances"][frames[0]]["region"] / report["exact_maps"]["region"],
-    }
-
-
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
-    """What pages show: tables, and what is said of them.
-
-    failures.RATE: the largest share of a method's trials of r2h-v2 whose first failure it is, mean of the splits,
-    percent; axes.region, .region_turned: areas of the contact network on unseen instances.
-    """
-    found = {f"failures.{k}": max(own.values()) for k, own in data["orders"]["r2h-v2"]["failures"].items()}
-    network = network_report()
-    lies, turned = network["unseen_instances"].values()
-    found |= {"axes.region": lies["region"], "axes.region_turned": turned["region"]}
-    found |= {
-        f"axes.left_out.{name}": own["as it lies"]["region"]
-        for name, own in network["left_out"].items()
-        if "region" in own["as it lies"]
-    }
-    rows, cost = data["table"]["rows"], data["cost"]
-    spread, needs = spread_lines(data)
+    """What pages show: tables, and what is said of them."""
+    rows, exact = data["table"]["rows"], data["exact"]
     return {
-        **found,
-        **network_tables(data),
         **{f"{split}_trials": n for split, n in {r["split"]: r["n"] for r in rows}.items()},
         "table_one": table_lines(data),
         "oracle_least": min(data["oracle"].values()),
         "pairs": markdown_table(["", "difference", "95 % interval", "p", "verdict"], pair_lines(data)),
-        "turns": turn_lines(data),
-        "of_category": network["training_instances"] // len(data["oracle"]),
-        "order": order_lines(data),
         "first_failures": failure_lines(data),
-        **{f"region_{k}": data["regions"][0][k] for k in ("instances", "n")},
-        "definitions": region_lines(data),
-        **{"spread": spread, "needs": needs, "rows": ROWS, "rounds": ROUNDS},
-        "more_mib": cost["r2h-v2"]["resident_mib"] - cost["r2h-v1"]["resident_mib"],
+        "share_of_exact": 100 * exact["network"]["S1"]["sr"] / exact["exact"]["S1"]["sr"],
     }
 
 

@@ -83,11 +83,6 @@ TRAININGS = {
     "two processes, --renew 3": ("--workers", "1", "--renew", "3"),
 }
 SAME_WEIGHTS = ("one process", "two processes")
-LIMITS = {
-    "learned": "Learned", "a pair": "any of its 384 pairs", "oracle": "oracle", "held": "a candidate holds",
-    "denser": "a denser one holds",
-}  # fmt: skip
-"""Columns of the regions' table: what a trial needs to count."""
 GRASPS_OF = ("drawn for the instance", "drawn for the region")
 """Grasp candidates that the ranker chooses from."""
 KINDS = ("a part", "all but a part", "one side of a plane")
@@ -580,60 +575,19 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
-    from r2h_batch.methods.learned import FIRST, TOP
+    from r2h_batch.methods.learned import TOP
     from r2h_batch.scene.objects import S0_NAMES
-    from r2h_batch.training.rank import Recipe
-    from r2h_batch.trials.family_objects import planned_objects
 
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]
-    s1 = [v["s1"]["sr"] for v in data["seeds"].values()]
-    shares = {k: v for k, v in data["step"].items() if k != "ms a step"}  # that one is with the profiler
-    base = data["seeds"]["0"]
-    categories = [
-        [c.replace("_", " "), f"{v:.1f}", f"{left_out[c]:.1f}" if c in left_out else "-"]
-        for c, v in base["categories"].items()
-    ]
-    trainings = {k: v for k, v in data["drawing"]["trainings"].items() if k != "same"}
-    made = data["generator"]
     return {
-        "parts": parts_table(data),
         "table": rates_table(data),
-        "apart": max(s1) - min(s1),
-        **{"first": FIRST, "second": NEAR, "top": TOP},
+        **{"second": NEAR, "top": TOP},
         "categories_left_out": len(functional),
         "left_out": float(np.mean(functional)),
-        "received_table": received_table(data["received"]),
-        "regions_table": regions_table(data["regions"]),
-        **{"given": GRASPS_OF[0], "anew": GRASPS_OF[1]},
-        **{"folds_chosen_by": len(CHOSEN_BY), "own_trials": OWN_TRIALS, "region_trials": REGION_TRIALS},
-        "recipes_table": recipes_table(data["recipes"]),
-        "generator_s": made["core_seconds"]["labels"] + made["core_seconds"]["train"],
-        "generator_n": next(iter(made["rates"].values()))["trials"],
-        "generator_table": generator_table(made["rates"]),
-        "policy_table": policy_table(data["policy"]),
-        "drawn": len(planned_objects(f"families:{SHORT[1]}")),
-        "trainings": markdown_table(
-            ["", "wall s", "CPU s"], [[k, f"{v['wall s']:.0f}", f"{v['cpu s']:.0f}"] for k, v in trainings.items()]
-        ),
-        "seconds": seconds_words(data["spent"] | data["spent of folds"]),
-        "ms": base["ms"],
         "label_rates": ", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
-        "step_ms": 1000 * data["spent"]["seed 0"]["train"] / Recipe().all_steps,
-        "shares": ", ".join(f"{k.removeprefix('aten::')} {v:.0f} %" for k, v in shares.items()),
         "mib": ", ".join(map(str, data["memory"]["mib"])),
-        "categories": markdown_table(["category", "seed 0", "left out"], categories),
     }
-
-
-def parts_table(data: Mapping[str, Any]) -> str:
-    """Parts that were measured on other commits."""
-    names: dict[str, list[str]] = defaultdict(list)
-    for name, commit in data["commits"].items():
-        if commit != data["commit"] and {"variants": "blind", "costs": "labels"}.get(name, name) in data:
-            names[commit[:12]].append(name)
-    lines = [[", ".join(parts), commit] for commit, parts in names.items()]
-    return markdown_table(["part measured on another commit", "commit"], lines, left=True)
 
 
 def rates_table(data: Mapping[str, Any]) -> str:
@@ -661,66 +615,6 @@ def cells(row: Mapping[str, Any]) -> list[str]:
         failed = "" if own is None else "/".join(str(own[k]) for k in ("plan", "reach", "affordance", "safe"))
         told.append("-" if own is None else f"{own['sr']:.1f} ({failed} of {own['of']})")
     return told
-
-
-def received_table(own: Mapping[str, Any]) -> str:
-    """Whether people can take what two methods hand over, and the paired difference."""
-    lines, splits = [], {"S0+S1": "both"}
-    for name, of in own["rates"].items():
-        for s, rates in of.items():
-            lines.append([name, splits.get(s, s), *("{:.1f} [{:.0f}, {:.0f}]".format(*rates[k]) for k in HANDED)])
-    for s, of in own["paired"].items():
-        told = ["{points:+.1f} ({only first}, {only second}) [{low:+.1f}, {high:+.1f}]".format(**of[k]) for k in HANDED]
-        lines.append(["difference", splits.get(s, s), *told])
-    return markdown_table(["", "split", *HANDED], lines)
-
-
-def policy_table(own: Mapping[str, Any]) -> str:
-    """The policy that the example learns, beside the servo."""
-    lines = []
-    for key in ("success %", "return", "time s"):
-        more, half = own[f"{key}, ppo - servo"], own[f"{key}, half of the 95 % interval"]
-        ends = f"{more:+.2f} [{more - half:+.2f}, {more + half:+.2f}]"
-        lines.append([key, f"{own[f'{key}, servo']:.2f}", f"{own[f'{key}, ppo']:.2f}", ends])
-    return markdown_table(["", "servo", "PPO", "PPO less servo"], lines)
-
-
-def regions_table(own: Mapping[str, Any]) -> str:
-    """Limits on regions at random."""
-    rows = [
-        [f"{kind}, {grasps}", told["of"], *(f"{told[k]:.1f}" for k in LIMITS)]
-        for grasps, kinds in own["ways"].items()
-        for kind, told in kinds.items()
-    ]
-    return markdown_table(["region, candidates", "trials", *LIMITS.values()], rows)
-
-
-def recipes_table(found: Mapping[str, Any]) -> str:
-    """Means over the folds of the recipes that were tried."""
-    keys = ("s0", "s1", "at random")
-    rows = [
-        [name, *(f"{np.mean([own[k] for own in folds.values()]):.1f}" for k in keys)] for name, folds in found.items()
-    ]
-    return markdown_table(["recipe", "S0", "S1", "regions at random"], rows)
-
-
-def generator_table(rates: Mapping[str, Any]) -> str:
-    """The example's generator beside chance."""
-    ways = []
-    for name, r in rates.items():
-        failed = "/".join(str(r["outcomes"][k]) for k in (2, 3, 4, 5))
-        asks = "yes" if name.startswith(("best", "guided")) else "no"
-        ways.append([name, asks, f"{100 * r['rate']:.1f} ({100 * r['low']:.1f}-{100 * r['high']:.1f})", failed])
-    return markdown_table(["", "asks the judge", "SR", "first failures"], ways)
-
-
-def seconds_words(spent: Mapping[str, Mapping[str, float]]) -> str:
-    """CPU seconds of each training and of its parts, without the drawing of instances."""
-    costs = []
-    for name, own in spent.items():
-        parts = {k: x for k, x in own.items() if k != "instances"}
-        costs.append(f"{name}: {sum(parts.values()):.0f} ({', '.join(f'{k} {x:.0f}' for k, x in parts.items())})")
-    return "; ".join(costs)
 
 
 BENCH = Bench(

@@ -134,20 +134,6 @@ def thumbs_at_rest(pose: NDArray[np.float32], side: NDArray[np.int8]) -> NDArray
 
 
 THUMB, POSTURES = ", thumb as Anny rests it", ", other postures"
-CAUSES = (
-    ("proportions: people's hand of 186 mm for the stand-in", "stand-in hand", "people's hand, 186 mm"),
-    ("size: the stand-in stretched from 186 to 210 mm", "stand-in hand", "stand-in hand, stretched to 210 mm"),
-    ("size: people's hand of 210 mm for that of 186", "people's hand, 186 mm", "people's hand, 210 mm"),
-    ("postures drawn again, on the stand-in", "stand-in hand", f"stand-in hand{POSTURES}"),
-    (
-        "postures drawn again, with size and thumb",
-        f"people's hand, 210 mm{THUMB}",
-        f"people's hand, 210 mm{THUMB}{POSTURES}",
-    ),
-    ("thumb as Anny rests it, at 210 mm", "people's hand, 210 mm", f"people's hand, 210 mm{THUMB}"),
-    ("size, thumb and postures", "stand-in hand", f"people's hand, 210 mm{THUMB}{POSTURES}"),
-)
-"""A change, and the hands (`hand_files`) before and after it."""
 OTHER_POSTURES = ("open_flat", "cupped", "grip_cylinder", "pinch", "relaxed")
 
 
@@ -329,104 +315,19 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
 def shown(data: dict[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
-    people, groups = data["people"], {g: data["groups"][g] for g in (V1, *RECEIVERS)}
+    groups = {g: data["groups"][g] for g in (V1, *RECEIVERS)}
     names = list(next(iter(groups.values())))
     success = [
         [group, *(f"{_sr(found[m]):.1f}" for m in names), found[names[0]]["redrawn_trials"]]
         for group, found in groups.items()
     ]
-    losses = "; ".join(f"{group}: {_losses(found['oracle'])}" for group, found in groups.items())
-    pairs = sorted({p for found in data["hands"].values() for m in found.values() for p in m["plan_pairs"]})
-    hands = [
-        [hand, f"{_sr(m):.1f}", m["outcomes"].get("plan", 0), *(m["plan_pairs"].get(p, 0) for p in pairs)]
-        for hand, found in data["hands"].items()
-        for m in found.values()
-    ]
-    fails = {hand: m["outcomes"].get("plan", 0) for hand, found in data["hands"].items() for m in found.values()}
-    causes = [[what, f"{fails[after] - fails[before]:+d}"] for what, before, after in CAUSES]
-    _, before, after = CAUSES[-1]  # all of it
-    first, last = (next(iter(data["hands"][hand].values())) for hand in (before, after))
-    dimensions = [
-        [
-            name.replace("_", " "),
-            *(
-                _three(x)
-                for who in ("men", "women")
-                for x in (people["groups"][f"adults, {who}"][name], ANSUR[who][name])
-            ),
-        ]
-        for name in ANSUR["men"]
-    ]
-    children = [
-        [
-            name.replace("_", " "),
-            *(
-                _three(x) if x else ""
-                for who in ("boys", "girls")
-                for x in (people["groups"][f"children, {who}"][name], CDC[who] if name == "stature" else "")
-            ),
-        ]
-        for name in ANSUR["men"]
-    ]
-    costs = [
-        [what, f"{own[V1]:.3f}", f"{own['adults']:.3f}", f"{own['ratio']:.2f} ({own['low']:.2f} to {own['high']:.2f})"]
-        for what, own in data["cost"].items()
-    ]
-    cut = people["postures"]
-    received = [
-        [method, *(f"{100 * k / own[method][0]:.1f}" for own in data["reception"].values() for k in own[method][1:])]
-        for method in data["reception"][V1]
-    ]
-    shapes = [
-        [
-            group,
-            part.replace("_", " "),
-            f"{100 * f['skin_held_share']:.1f}",
-            f["skin_outside_max_mm"],
-            f["overshoot_mean_mm"],
-            f["overshoot_p95_mm"],
-        ]
-        for group, parts in people["shapes"].items()
-        for part, f in parts.items()
-    ]
     return {
         "success": markdown_table(["Receivers", *names, "Redrawn"], success),
-        "losses": losses,
-        "received_n": next(iter(data["reception"][V1].values()))[0],
-        "received_objects": ", ".join(RECEIVED),
-        "reception": markdown_table(
-            ["", *(f"{who}, {what}" for who in data["reception"] for what in ("received", "and success"))], received
-        ),
-        "cost": markdown_table(["", V1, "adults", "ratio"], costs),
-        "hands_n": next(m["n"] for found in data["hands"].values() for m in found.values()),
-        "hand_points": _sr(first) - _sr(last),
-        "causes": markdown_table(["Change", "plans that fail"], causes),
-        "hands": markdown_table(["Hand", "SR", "Plan fails", *(p.replace("_", " ") for p in pairs)], hands),
-        "dimensions": markdown_table(["", "men", "men, ANSUR II", "women", "women, ANSUR II"], dimensions),
-        "children": markdown_table(["", "boys", "boys, CDC", "girls", "girls, CDC"], children),
-        "cut_mean": cut["self_cut_mean_mm"],
-        "cut_max": cut["self_cut_max_mm"],
-        "cut_hands": cut["hands_measured"],
-        "shapes": markdown_table(
-            ["Group", "Shape", "held, %", "outside, mm", "overshoot, mm", "overshoot 95 %, mm"], shapes
-        ),
     }
 
 
 def _sr(found: dict[str, Any]) -> float:
     return 100 * float(found["outcomes"].get("success", 0)) / int(found["n"])
-
-
-def _three(values: Any) -> str:
-    return " / ".join(map(str, values))
-
-
-def _losses(found: dict[str, Any]) -> str:
-    lost = {k: v for k, v in found["outcomes"].items() if k != "success"}
-    if not lost:
-        return "none"
-    reasons = ", ".join(f"{v} {k}" for k, v in found["plan_reasons"].items())
-    return ", ".join(f"{v} {k}" for k, v in lost.items()) + (f" ({reasons})" if reasons else "") + f" of {found['n']}"
 
 
 BENCH = Bench(

@@ -235,28 +235,13 @@ def frame(
 
 def shown(data: dict[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
-    steps, known, easiest = (
-        lines_of(data["tables"], head)
-        for head in (
-            "Received, by step",
-            "With fewer known grasps, and with less turn of the hand",
-            "Means of the easiest grasp",
-        )
-    )
-    for row in steps + known + easiest:
+    steps = lines_of(data["tables"], "Received, by step")
+    for row in steps:
         row[0] = row[0].replace("oracle,fo..ption", BOUND)
     percent = {name.partition(" (")[0]: own for name, own in data["rates"].items()}
     steps = [steps[0], *([*row[:-2], *percent.get(row[0], row[-2:])] for row in steps[2:])]
-    picked = [known[0].index(k) for k in ("K=8", "K=64", "60 deg")]
-    head = ["Method", "K=8", "K=64", "turn <= 60", *easiest[0][1:]]
-    both = [[a[0], *(a[i] for i in picked), *b[1:]] for a, b in zip(known[2:], easiest[2:], strict=True)]
     return {
         "steps": markdown_table(steps[0], steps[1:]),
-        "effort": markdown_table(head, both),
-        "ms": data["cost"][-1]["whole"],
-        "grown": data["growth"]["trials"],
-        "first_mib": data["growth"]["mib"][0],
-        "last_mib": data["growth"]["mib"][-1],
     }
 
 

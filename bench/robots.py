@@ -18,7 +18,6 @@ import argparse
 import json
 import statistics
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -234,20 +233,9 @@ def shown(data: dict[str, Any]) -> dict[str, Any]:
     methods = list(next(iter(robots.values()))["table"])
 
     rates = [[m, *(rate_of(r["table"][m]) for r in robots.values())] for m in methods]
-    lines: dict[str, Callable[[dict[str, Any]], str]] = {
-        "trial, us of one core": lambda r: f"{r['trials']['us']:.0f}",
-        "wrong postures": lambda r: "{disagreements} of {postures:,}".format(**r["collision"]),
-        "paths found; penetrating": lambda r: "{solved} of {problems}; {penetrating}".format(**r["plan"]),
-        "IK, us of one core": lambda r: f"{r['ik']['us']:.1f}",
-        "IK missed": lambda r: str(r["ik"]["missed"]),
-        "IK, largest error, um": lambda r: f"{r['ik']['position_error_um']:.1f}",
-    }
     return {
         "commits": ", ".join(sorted({str(made["commit"])[:12] for made in data["measured"].values()})),
         "rates": markdown_table(["Method", *robots], rates),
-        "checks": markdown_table(["", *robots], [[k, *(f(r) for r in robots.values())] for k, f in lines.items()]),
-        "repeats": REPEATS,
-        "rows": next(iter(robots.values()))["trials"]["trials"],
     }
 
 

@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -195,17 +195,6 @@ def tables(data: Mapping[str, Any]) -> dict[str, Any]:
         ]
         for word, rates in data["rates"].items()
     ]
-    words: Sequence[str] = [w for w in data["rates"] if w != "random"]
-
-    def thing(word: str, name: str) -> str:
-        area = areas.get(word, {}).get(name)
-        return f"{data['by_object'][word][name]:.0f}" + (f" ({area:.2f})" if area is not None else "")
-
-    things = [[o["name"].replace("_", " "), o["split"], *(thing(w, o["name"]) for w in words)] for o in data["objects"]]
-    names = [
-        [o["name"], *(o.get(key, "").replace("_", " ") for key in ("category", "region", "creator", "licence"))]
-        for o in data["objects"]
-    ]
     many = {split: sum(o["split"] == split for o in data["objects"]) for split in ("S0", "S1")}
     return {
         "number": len(data["objects"]),
@@ -216,8 +205,6 @@ def tables(data: Mapping[str, Any]) -> dict[str, Any]:
             ["", "S0, Table I", "S0, own meshes", "S1, Table I", "S1, own meshes", "region AUC"], lines
         ),
         **{f"order_{split.lower()}": words for split, words in order(data).items()},
-        "things": markdown_table(["", "split", *(WORDS[w] for w in words)], things),
-        "names": markdown_table(["mesh", "like", "region", "made by", "licence"], names, left=True),
     }
 
 

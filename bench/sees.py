@@ -68,8 +68,6 @@ COSTS = ("the truth", HIDDEN, "one post", "two posts, model known, pose as `lab`
 """Sights whose cost is measured; the others cost what two posts do."""
 FEW, MORE = 2, 12
 """Trials a split of two sweeps. The difference is the cost of a trial, without that of a sweep's start."""
-RESOLVED_S = 0.03
-"""Two sweeps of the same trials differ by as much."""
 WORLD = "solid, grasps, hands"
 
 
@@ -229,9 +227,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         own = _trials(words, data["trials"])
         return words if own == data["trials"] else f"{words}; {own} trials a split"
 
-    def ends(d: Mapping[str, Any]) -> str:
-        return " / ".join("-".join(f"{100 * x:.0f}" for x in d[s]["categories"]) for s in ("S0", "S1"))
-
     def half(fewer: bool) -> float:
         """Half of the widest interval of the sights with fewer trials, or of the others; points."""
         some = (of for words, of in sights.items() if (_trials(words, data["trials"]) < data["trials"]) == fewer)
@@ -242,45 +237,7 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "half": half(fewer=False),
         "wide": half(fewer=True),
         "table": table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
-        "categories": table(ends),
-        "told": _told_table(sights[HIDDEN], sights[TOLD]),
-        **{
-            # S0 has no region, and no such failure
-            name.partition(" ")[0].lower(): sights[HIDDEN][name]["causes"]["affordance"]
-            for name in ("Contact", "FC", "robust search", "Learned")
-        },
-        "causes": " / ".join(CAUSES),
-        "failures": table(lambda d: "/".join(str(d["causes"][c]) for c in CAUSES)),
-        "picks": table(lambda d: f"{100 * d['pick']:.0f}", truth=False),
-        "cost_trials": 2 * (MORE - FEW),
-        "resolved": RESOLVED_S,
-        "costs": _cost_table(data["cost"]),
     }
-
-
-def _cost_table(cost: Mapping[str, Mapping[str, float]]) -> str:
-    """A row for each method, a column for each sight."""
-
-    def say(seconds: float | None) -> str:
-        return "" if seconds is None else f"{seconds:.2f}" if seconds >= RESOLVED_S else f"< {RESOLVED_S}"
-
-    lines = [[name, *(say(of.get(name)) for of in cost.values())] for name in (WORLD, *METHODS)]
-    return markdown_table(["", *cost], lines)
-
-
-def _told_table(hidden: Mapping[str, Any], told: Mapping[str, Any]) -> str:
-    """A row for each method: trials of S1 that only one of two sights solves, and the paired difference."""
-    from r2h_batch.report.statistics.intervals import paired_score_interval
-
-    lines = []
-    for name in METHODS:
-        before, after = (of[name]["S1"]["won"] for of in (hidden, told))
-        pairs = Counter(zip(before, after, strict=True))
-        more, less = pairs["0", "1"], pairs["1", "0"]
-        low, high = (100 * x for x in paired_score_interval(more, less, len(before)))
-        ends = f"{low:+.0f} to {high:+.0f}"
-        lines.append([name, str(less), str(more), f"{100 * (more - less) / len(before):+.0f}", ends])
-    return markdown_table(["", "hidden alone", "told alone", "told - hidden", "interval"], lines)
 
 
 BENCH = Bench(

@@ -26,8 +26,6 @@ import shutil
 import subprocess
 import sys
 import time
-from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -37,7 +35,7 @@ import figures
 import pictures
 import ranks
 import sensitivity
-from _report import ROOT, markdown_table, swept
+from _report import ROOT, swept
 from _rows import keep
 
 RESULTS = Path("docs/results")
@@ -108,14 +106,6 @@ PUBLISHED = (
 )
 TABLES = tuple(p for p in PUBLISHED if p.title)
 
-RATES = {"SR": "sr", "F_plan": "f_plan", "F_reach": "f_reach", "F_safe": "f_safe", "F_stab": "f_stab"}
-RATES |= {"F_afford": "f_afford", "Presented": "presented"}
-TIMES = {
-    "T_plan, us": ("t_plan_s", 1e6, ".0f"),
-    "T_exec, s": ("t_exec_s", 1, ".2f"),
-    "T_method, us": ("t_method_s", 1e6, ".0f"),
-}
-
 
 def git(*words: str) -> str:
     """Output of git in this checkout."""
@@ -141,19 +131,6 @@ def golden_digest() -> str:
     return hashlib.sha256(json.dumps(cases, sort_keys=True).encode()).hexdigest()
 
 
-def plan_table(run) -> str:
-    """A Markdown table: why Plan fails first, percent of each method's Plan failures."""
-    found: dict[str, Counter] = {}
-    for method in run.methods:
-        columns = (run.trials(method)[c].to_pylist() for c in ("outcome", "plan_reason", "plan_pair"))
-        pairs = [pair or reason for outcome, reason, pair in zip(*columns, strict=True) if outcome == "plan"]
-        if pairs:
-            found[method.partition(" (")[0]] = Counter(pairs)
-    kinds = [k for k, _ in sum(found.values(), Counter()).most_common()]
-    shares = [[m, c.total(), *(f"{100 * c[k] / c.total():.0f}" for k in kinds)] for m, c in found.items()]
-    return markdown_table(["method", "failures", *kinds], shares)
-
-
 def pairs_of(run) -> list[dict[str, object]]:
     """The paired test of the methods on all trials of each split and of both: who is apart from whom."""
     from r2h_batch.report.statistics.paired import compare, pair_up
@@ -177,15 +154,6 @@ def unsolved(run) -> dict[str, list[int]]:
             solved.setdefault(trial, set()).update({method} if outcome == "success" else ())
     oracle = [t for t, who in sorted(solved.items()) if "oracle" not in who]
     return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
-
-
-def both_splits(data: dict, cell: Callable[[dict], str], column: str = "sr") -> dict[str, str]:
-    """Method -> `S0 / S1` of its cells; the split alone where the other one has no value."""
-    found: dict[str, list[str]] = {}
-    for row in data["rows"]:
-        if row["split"] != "Avg" and row[column] is not None:
-            found.setdefault(row["method"].partition(" (")[0], []).append(cell(row))
-    return {method: " / ".join(cells) for method, cells in found.items()}
 
 
 def table_1() -> dict[str, Any]:
@@ -221,108 +189,33 @@ CATEGORIES = ("sr_new_categories_low", "sr_new_categories_high")
 """Ends of the interval for the mean of all categories."""
 
 
-def columns_table(columns: dict[str, dict[str, str]]) -> str:
-    """A Markdown table: a line for each method."""
-    methods = next(iter(columns.values()))
-    return markdown_table(["S0 / S1", *columns], [[m, *(c.get(m, "-") for c in columns.values())] for m in methods])
-
-
-def rates_of(data: dict) -> dict[str, dict[str, str]]:
-    """Columns of SR, first failures and Presented."""
-    return {h: both_splits(data, f"{{{c}:.1f}}".format_map, c) for h, c in RATES.items()}
-
-
-def times_of(data: dict) -> dict[str, dict[str, str]]:
-    """Columns of mean times."""
-    found = {}
-    for head, (column, factor, digits) in TIMES.items():
-        rows = [r | {column: r[column] and factor * r[column]} for r in data["rows"]]
-        found[head] = both_splits({"rows": rows}, f"{{{column}:{digits}}}".format_map, column)
-    return found
-
-
-def intervals_of(data: dict) -> dict[str, dict[str, str]]:
-    """Columns of SR's 95 % intervals and of the motions that meet the receiver's body."""
-
-    def ends(low: str, high: str) -> dict[str, str]:
-        return both_splits(data, lambda r: f"{r[low]:.1f}-{r[high]:.1f}", low)
-
-    return {
-        "SR, more trials": ends("sr_low", "sr_high"),
-        "SR, new objects": ends("sr_new_objects_low", "sr_new_objects_high"),
-        "arm or torso met": both_splits(data, lambda r: f"{r['body_met']:.1f}", "body_met"),
-    }
-
-
-MOVING = {
-    "candidates as generated": "grasp candidates as the sampler proposes them",
-    "preset paper": "preset paper",
-    "preset release": "preset release",
-    "receiver with a body": "arm and torso count",
-    "protocol r2h-v0": "hands alone (r2h-v0)",
-    "fc,at=gripper": "FC: 15 cm above the palm is the gripper, not the object's centre",
-    "fc,height_m=0.12": "FC: the object's centre at 12 cm, not 15",
-    "contact,at=gripper": "Contact: the gripper stands 15 cm above the palm",
-    "intent,at=gripper": "Intent: the gripper stands 15 cm above the palm",
-}
-"""Variants of docs/results/table1-v1-choices.json that the page of r2h-v1 names, and what they change."""
-
-
 def truth_about_v1() -> dict[str, object]:
-    """What the rates of r2h-v1 depend on: the frames of its meshes, and choices."""
+    """What Contact-Handover's rate on r2h-v1 depends on: the frames of its meshes."""
     from r2h_batch.report.turn import WORDS
 
-    turned = ranks.read("families")["turned"]["r2h-v1"]
-    tests = {(t["method"].partition(" (")[0], t["group"]): t for t in turned}
-    titles = {
-        "fc": "FC-Handover",
-        "handover-va": "Handover-VA",
-        "contact": "Contact-Handover",
-        "intent": "Intent-Handover",
+    tests = {
+        t["method"].partition(" (")[0]: t for t in ranks.read("families")["turned"]["r2h-v1"] if t["group"] == "S1"
     }
-    lines: list[list[object]] = []
-    for word in ("half", "cycled"):
-        cells: list[object] = [f"objects turned: {WORDS[word]} (S1 alone)"]
-        for title in titles.values():
-            (move,) = [m for m in tests[title, "S1"]["moves"] if m["turn"] == word]
-            cells.append(f"{move['points']:+.1f}")
-        lines.append(cells)
-    choices = json.loads((ROOT / RESULTS / CHOICES).read_text())
-    base = choices["variants"][0]["rates"]
-    for variant in choices["variants"]:
-        if variant["name"] in MOVING:
-            own = variant["rates"]
-            points = {m: own[m]["Avg"]["sr"] - base[m]["Avg"]["sr"] for m in titles}
-            cells = [f"{points[m]:+.1f}" if m in variant["own"] else "" for m in titles]
-            lines.append([MOVING[variant["name"]], *cells])
-    contact, intent = tests["Contact-Handover", "S1"], tests["Intent-Handover", "S1"]
+    contact, intent = tests["Contact-Handover"], tests["Intent-Handover"]
     worst = min(contact["moves"], key=lambda m: m["points"])
     other = next(m for m in intent["moves"] if m["turn"] == worst["turn"])
     return {
         "turn": WORDS[worst["turn"]],
         **{"contact": contact["rate"], "contact_turned": contact["rate"] + worst["points"]},
-        **{"low": worst["low"], "high": worst["high"], "of_turned": contact["n"]},
+        **{"low": worst["low"], "high": worst["high"]},
         **{"intent": intent["rate"], "intent_turned": intent["rate"] + other["points"]},
-        "choices": markdown_table(["changed", *titles.values()], lines),
     }
 
 
 def shown(_: object) -> dict[str, object]:
-    """What README and the page of r2h-v1 show."""
-    from r2h_batch.runs.store import load_run
-
+    """What README and the page of Table I show."""
     own = table_1()
-    first = own["table"]["rows"][0]
-    data = json.loads((ROOT / RESULTS / f"{TABLES[0].name}.json").read_text())
-    made = data["provenance"]
+    made = json.loads((ROOT / RESULTS / f"{TABLES[0].name}.json").read_text())["provenance"]
     return {
         "one": families.table_one(own),
-        "n": first["n"],
-        **{k: made[k] for k in ("command", "rows", "commit")},
-        "rates": columns_table(rates_of(data)),
+        "n": own["table"]["rows"][0]["n"],
+        **{k: made[k] for k in ("rows", "commit")},
         **truth_about_v1(),
-        "times": columns_table(times_of(data) | intervals_of(data)),
-        "plans": plan_table(load_run(ROOT / TABLES[0].rows)),
     }
 
 

@@ -80,7 +80,7 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
         home / "runs" / "scans-objects" / "post.yaml"
     ).read_text() == 'split: S1\nreceiver: "z<0.4"\ncategory: bottle\n'
     shown = scans.tables(found | {"commit": "1" * 40})
-    assert shown["number"] == 2 and "| post | bottle | z<0.4 | a box | none |" in shown["names"]
+    assert shown["number"] == 2 and "| random |" in shown["table"]
     monkeypatch.setattr(scans, "ROOT", home)
     about.write_text('[vase]\nregion = "z<0.4"\n')
     with pytest.raises(SystemExit, match=r"--about names vase, and .* has no such mesh"):

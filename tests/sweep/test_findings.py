@@ -98,21 +98,3 @@ def test_a_pair_of_methods_has_one_difference_on_the_page_of_families():
         a, b = name.split(" - ")
         assert own["difference"] == pytest.approx(avg[a] - avg[b])
         assert own["difference"] == pytest.approx(paired[a, b] if (a, b) in paired else -paired[b, a])
-
-
-def test_ranks_correct_mcnemars_p_over_all_pairs_of_a_column():
-    from itertools import combinations
-
-    import ranks
-    from statsmodels.stats.contingency_tables import mcnemar
-    from statsmodels.stats.multitest import multipletests
-
-    case = ranks.CASES[0]
-    methods = ranks.read("closed_loop")["methods"].items()
-    won = {name.partition(" (")[0]: own["cases"][case]["won"] for name, own in methods}
-    p = {}
-    for a, b in combinations(won, 2):
-        only = [sum(x == "1" and y == "0" for x, y in zip(won[i], won[j], strict=True)) for i, j in ((a, b), (b, a))]
-        p[frozenset((a, b))] = min(mcnemar([[0, only[0]], [only[1], 0]], exact=True).pvalue, 1.0)
-    expected = dict(zip(p, multipletests(list(p.values()), method="holm")[1], strict=True))
-    assert ranks.corrected(case) == pytest.approx(expected) and len(p) > 3
