@@ -47,6 +47,9 @@ MAX_METHOD_CHARS = 100
 MOST_SAMPLES = 4_500
 """Most samples of one motion: 9 s at 500 Hz, 75 s at 60 Hz."""
 
+COARSE_S = 1e4
+"""Beyond this, steps of float32 are longer than a millisecond."""
+
 _NEEDED = ("trial_id", "T_obj_ee", "T_world_ee")
 _POSES = ("T_obj_ee", "T_world_ee")
 _SPECS: dict[str, Spec] = {
@@ -263,6 +266,12 @@ def _motions(arrays: dict[str, Any], shown: str, declared: Declared) -> Motions:
     q = declared.angles(q)
     time_s = declared.times(arrays.pop("time_s"))
     time_s = _samples("time_s", time_s, (len(q),), "length", shown)
+    if time_s.dtype.itemsize == 4 and len(time_s) and np.nanmax(np.abs(time_s)) > COARSE_S:
+        step = float(np.spacing(np.float32(np.nanmax(np.abs(time_s)))))
+        raise FileError(
+            f"{shown}: time_s is float32 and goes to {np.nanmax(np.abs(time_s)):.3g} s, where its steps are {step:.2g} s: write"
+            " float64, or times from the motion's start"
+        )
     declared.check_times(time_s, length)
     first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
     with np.errstate(over="ignore", invalid="ignore"):
@@ -330,7 +339,7 @@ def _arrays(path: Path, suffix: str) -> tuple[dict[str, Any], str]:
             else read_npz(path, most=MAX_BYTES, most_each=MAX_BYTES)
         )
         return arrays, _one_text(arrays.pop("method", np.array(path.stem)), "method", shown)
-    what = "neither .npz, .csv nor .json"
+    what = "neither .npz, .parquet, .csv nor .json"
     if not magic:
         what = "the file is empty (0 bytes)"
     elif magic[:1] == b"\x80" and magic[1] < 6:

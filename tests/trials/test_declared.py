@@ -232,6 +232,14 @@ def test_times_as_whole_nanoseconds_are_read_where_they_are_declared(tmp_path):
     assert np.allclose(found.time_s, data["time_s"], atol=1e-6)
 
 
+def test_times_of_day_in_float32_are_refused_for_their_steps(tmp_path):
+    coarse = answers(4) | {"time_s": (answers(4)["time_s"] + 1.7e9).astype(np.float32)}
+    with pytest.raises(
+        FileError, match=r"time_s is float32 and goes to 1.7e\+09 s, where its steps are 1.3e\+02 s: write float64"
+    ):
+        load_answers(as_file(tmp_path / "m.npz", coarse))
+
+
 def test_names_with_which_no_motion_begins_at_home_are_refused_where_all_do_without_them(tmp_path):
     data = answers(4)
     data["q"][np.cumsum(data["length"]) - data["length"]] = HOME

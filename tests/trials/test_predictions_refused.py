@@ -52,7 +52,11 @@ def test_pickles_and_other_formats_are_refused_unread_saying_what_to_write(tmp_p
     np.save(tmp_path / "one.npy", np.zeros(4))
     (tmp_path / "p.txt").write_bytes(b"trial_id,x\n1,2\n")
     (tmp_path / "empty.npz").touch()
-    for name, words in {"one.npy": "single .npy", "p.txt": "neither .npz, .csv nor", "empty.npz": "empty"}.items():
+    for name, words in {
+        "one.npy": "single .npy",
+        "p.txt": "neither .npz, .parquet, .csv nor",
+        "empty.npz": "empty",
+    }.items():
         refused(tmp_path / name, words, "np.savez")
 
 

@@ -1,5 +1,6 @@
 """Predictions as CSV and JSON: the same rows as a binary file's, and refused as strictly."""
 
+import gzip
 import json
 
 import numpy as np
@@ -53,6 +54,34 @@ def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
 def test_csv_that_cannot_be_scored_is_refused_by_its_column(change, words, tmp_path):
     (tmp_path / "p.csv").write_text(as_csv(arrays(1)).replace(*change))
     refused(tmp_path / "p.csv", words, "write the columns trial_id")
+
+
+WRONG_HEADS = {
+    "its columns are apart by semicolons; save it with commas": lambda text: text.replace(",", ";"),
+    "its columns are apart by tabs": lambda text: text.replace(",", "\t"),
+    "column ' T_obj_ee_0' has spaces around its name": lambda text: text.replace(",", ", "),
+    "its first line holds numbers; it must name the columns": lambda text: text.partition("\n")[2],
+    "begins with a comment": lambda text: f"# mine\n{text}",
+    "write whole numbers as 7": lambda text: text.replace("\n0,", "\n0.0,"),
+    "is in UTF-16": lambda text: text.encode("utf-16"),
+    "is compressed (gzip)": lambda text: gzip.compress(text.encode()),
+    "is an archive, such as a spreadsheet's": lambda text: b"PK\x03\x04" + text.encode(),
+}
+
+
+@pytest.mark.parametrize("words", WRONG_HEADS)
+def test_csv_of_another_kind_is_told_what_it_is(words, tmp_path):
+    data = WRONG_HEADS[words](as_csv(arrays(2)))
+    (tmp_path / "p.csv").write_bytes(data if isinstance(data, bytes) else data.encode())
+    refused(tmp_path / "p.csv", words)
+
+
+@pytest.mark.parametrize("change", [("\n", "\r\n"), ("\n", "\n\n")])
+def test_csv_with_windows_line_ends_or_empty_lines_is_the_same(change, tmp_path):
+    for name, text in (("a", as_csv(arrays(2))), ("b", as_csv(arrays(2)).replace(*change))):
+        (tmp_path / f"{name}.csv").write_bytes(text.encode())
+    found = [load_predictions(tmp_path / f"{name}.csv").T_world_ee for name in "ab"]
+    assert torch.equal(*found)
 
 
 BAD = {

@@ -300,6 +300,8 @@ def read_npz(
             key = name.removesuffix(".npy")
             if name == key:
                 words = "is not an .npy array (is this a pickle?)"
+                if name.endswith(".xml"):
+                    words = "is XML: a spreadsheet or document of an office program; save it as CSV UTF-8"
                 raise FileError(f"{shown}: member {name!r} {words}")
             if size > most_each:
                 raise FileError(f"{shown}: {name!r} has {size} bytes; {most_each} are allowed")
@@ -333,6 +335,10 @@ def _array(data: bytes, where: str, objects: Objects | None) -> Any:
         value = objects(data[start:], where)
         single = isinstance(value, np.ndarray) and value.dtype == object and value.shape == ()
         return value.item() if single else value
+    if dtype.kind == "c":
+        raise FileError(
+            f"{where}: is {dtype}; complex numbers are not allowed: write the real part"
+        )
     size = math.prod(int(n) for n in shape) * dtype.itemsize
     if dtype.kind not in "biufUS" or min([0, *shape]) < 0 or size != len(data) - start:
         held = len(data) - start
@@ -367,7 +373,12 @@ def read_json(path: Path, *, most: int = MAX_JSON_BYTES) -> Any:
         if len(_KEY.findall(data)) > _keys(found):
             json.loads(data, object_pairs_hook=_once)
     except (ValueError, RecursionError) as error:
-        raise FileError(f"{where}: no readable JSON ({printable(error)[:200]})") from None
+        how = ""
+        if re.search(rb"[\s:,\[]-?(?:nan|inf|Inf)\b", data):
+            how = "; numbers that are not finite are written NaN, Infinity or -Infinity"
+        elif re.search(rb"\}\s*\n\s*\{", data):
+            how = "; it holds several values, one a line: write one object of lists"
+        raise FileError(f"{where}: no readable JSON ({printable(error)[:200]}){how}") from None
     finally:
         if collecting:
             gc.enable()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import open_file, printable, read_json
 
 MAX_WORD = 200
-MAX_CSV_BYTES = 512 << 20
+MAX_CSV_BYTES, MAX_HEAD_BYTES = 512 << 20, 1 << 16
 
 
 INDEX = ("", "Unnamed: 0")
@@ -42,6 +42,10 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
     }
     kinds = {part: columns[name][0] for name, own in parts.items() for part in own}
     with open_file(path, MAX_CSV_BYTES) as stream:
+        head = stream.readline(MAX_HEAD_BYTES)
+        stream.seek(0)
+        if wrong := _wrong_head(head, kinds):
+            raise FileError(f"{where}: {wrong}")
         options = pc.ConvertOptions(column_types=kinds, null_values=[""])
         try:
             table = pc.read_csv(stream, convert_options=options)
@@ -49,6 +53,8 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
         except (pa.ArrowException, UnicodeDecodeError) as error:
             why = printable(error)[:200]
             how = "save it as CSV UTF-8, with commas"
+            if "conversion error" in why:
+                how = "write whole numbers as 7, other ones as 0.7, texts in UTF-8"
             raise FileError(f"{where}: no readable CSV ({why}); {how}") from None
     names = [n for n in names if n not in INDEX]
     # the first one only: counting each of a million names would take hours
@@ -72,6 +78,40 @@ def read_csv_arrays(path: Path, columns: Mapping[str, tuple[str, int]]) -> dict[
             values = [values[0].astype(np.str_)]
         found[name] = values[0] if len(own) == 1 else np.stack(values, 1)
     return found
+
+
+def _wrong_head(head: bytes, names: Collection[str]) -> str:
+    """Why a first line cannot name the columns, where it is known what it is; else empty."""
+    if head.startswith(b"\x1f\x8b"):
+        return "is compressed (gzip); unpack it"
+    if head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        return "is in UTF-16; save it as CSV UTF-8, with commas"
+    if head.startswith(b"PK"):
+        return "is an archive, such as a spreadsheet's file; save it as CSV UTF-8, with commas"
+    text = head.decode("utf-8-sig", "replace").strip("\r\n")
+    for separator, word in ((";", "semicolons"), ("\t", "tabs"), ("|", "bars")):
+        found = [name.strip().strip('"') for name in text.split(separator)]
+        if len(found) > 1 and set(found) & set(names):
+            return f"its columns are apart by {word}; save it with commas, and numbers with a point"
+    cells = text.split(",")
+    spaced = [c for c in cells if c != c.strip() and c.strip().strip('"') in names]
+    if spaced:
+        return (
+            f"column {printable(spaced[0])[:60]!r} has spaces around its name; write names without"
+        )
+    if text.startswith("#"):
+        return "begins with a comment; the first line must name the columns"
+    if cells and all(_is_number(c) for c in cells):
+        return "its first line holds numbers; it must name the columns"
+    return ""
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.strip().strip('"'))
+    except ValueError:
+        return False
+    return True
 
 
 def read_json_arrays(path: Path) -> dict[str, Any]:
