@@ -29,6 +29,9 @@ FACES = 8000
 """Faces of the body with both hands and without the eyes, of 26,692."""
 COMPONENTS = 16
 EYE_FACES = 140
+RAYS, SHUT = 500, 0.99
+"""Ways out of a face that are looked along, and the share of them that meet the body where nobody sees the face; of seen faces
+it is below 0.9."""
 
 HAND = ("wrist.", "finger", "metacarpal")
 HEADS = {
@@ -152,6 +155,7 @@ def arrays(every: F64, weights: F64, kept: Coarse, model: Model) -> dict[str, ND
     basis = np.linalg.lstsq(person, flat, rcond=None)[0].reshape(COMPONENTS, *mean.shape)
     scale = np.abs(basis).max((1, 2)) / 127
     geom, gone = geoms(weights, kept, model)
+    gone |= unseen(mean[: -len(JOINTS)], kept.faces)
     return {
         "points": mean.astype(np.float32),
         "basis": np.round(basis / scale[:, None, None]).astype(np.int8),
@@ -161,6 +165,17 @@ def arrays(every: F64, weights: F64, kept: Coarse, model: Model) -> dict[str, ND
         "faces": kept.faces[~gone].astype(np.uint16),
         "geom": geom[~gone],
     }
+
+
+def unseen(points: F64, faces: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """(F,) faces that nobody sees from outside: the back of the eyes, their sockets, the mouth. A person who is drawn clear
+    would show them."""
+    corners = points[faces]
+    out = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    out /= np.linalg.norm(out, axis=1, keepdims=True)
+    above = corners.mean(1) + 1e-4 * out
+    shut = igl.ambient_occlusion(points, faces.astype(np.int32), above, out, RAYS).ravel()
+    return np.asarray(shut > SHUT)
 
 
 def geoms(weights: F64, kept: Coarse, model: Model) -> tuple[NDArray[np.int8], NDArray[np.bool_]]:

@@ -9,7 +9,7 @@ import numpy as np
 from r2h_batch.base.table import Column, Table, document, notes_list, plain
 from r2h_batch.runs.explain import LEAST, PAIRS, headline, presented_words
 from r2h_batch.verdicts import EVERY, UNITS, CriterionEntry
-from r2h_batch.view.drawing import MARKS, Drawing
+from r2h_batch.view.drawing import HULL, MARKS, Drawing
 from r2h_batch.view.postures import Postures
 from r2h_batch.view.stored_trial import StoredTrial
 
@@ -22,13 +22,18 @@ LEGEND = {
     "witness": "what fails",
 }
 """Meaning of each group of `MARKS`."""
+BY_HULL = " (clear: the object's convex hull, which planning keeps clear of bodies)"
 
 
 def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list[tuple[str, str]]:
     """(#rrggbb, words) of the marks that these trials have, of these groups."""
+    hull = any(d.witness is not None and HULL in d.witness.geoms for d in drawings)
     colors = {m.group: m.rgba[:3] for d in drawings for m in d.marks if m.group in groups}
     return [
-        ("#" + "".join(f"{round(255 * c):02x}" for c in colors[group]), LEGEND[group])
+        (
+            "#" + "".join(f"{round(255 * c):02x}" for c in colors[group]),
+            LEGEND[group] + (BY_HULL if hull and group == "witness" else ""),
+        )
         for group in MARKS
         if group in colors
     ]

@@ -26,6 +26,8 @@ Color = tuple[float, float, float, float]
 
 HEAD = "receiver/head"
 """The head's geom, as large as robot and object keep off it."""
+HULL, HULL_CLEAR = "object/hull", 0.35
+"""What planning takes for the object, and its opacity where it decides: the object is seen in it."""
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
 """Groups of marks that a viewer can show or hide."""
 RED: Color = (0.86, 0.10, 0.10, 0.85)
@@ -526,6 +528,8 @@ class Drawing:
                     continue
                 if name.startswith(("table", "receiver/torso")):  # where it is met, not all of it
                     found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
+                elif name == HULL:  # the object stays as it is within
+                    surface("witness", name, (*RED[:3], HULL_CLEAR))
                 else:
                     surface("witness", name, RED)
             if witness.kind == "presented" and row.get("presented_by") == "sharp":
@@ -798,8 +802,10 @@ def _color(rgba: Sequence[float]) -> Color:
 
 
 def _geom_name(geom: str) -> str:
-    """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/hull: object."""
+    """robot/wrist_3_0: wrist 3; hand/index2: hand index 2; object/piece_1: object."""
     owner, _, part = geom.partition("/")
+    if geom == HULL:
+        return "the object's hull"
     if owner in ("object", "table"):
         return owner
     if owner == "robot":

@@ -201,8 +201,14 @@ def test_the_skin_is_one_surface_when_the_arm_is_lifted(drawn):
     """No edge inside of the body opens: pieces share their vertices, whatever the arm does."""
     _, receivers, left, _, found, _ = drawn
     faces = np.concatenate([found[0][name][1] for name in GEOMS])
-    count = np.unique(np.sort(edges_of(faces), 1), axis=0, return_counts=True)[1]
-    assert (count == 1).sum() < 60 and (count <= 2).all()  # open at the wrist alone, where the hand begins
+    edges, count = np.unique(np.sort(edges_of(faces), 1), axis=0, return_counts=True)
+    alone, known = edges[count == 1], skins()
+    at_wrist = np.isin(alone, known.end).all(1)
+    assert at_wrist.sum() < 60 and (count <= 2).all()  # open at the wrist, where the hand begins,
+    face = known.points[alone[~at_wrist]].mean(1) - known.points[known.faces[known.geom == GEOMS.index("head")]].mean(
+        (0, 1)
+    )
+    assert (np.abs(face[:, 1]) < 0.25).all() and face[:, 2].min() > 0.05, face.min(0)  # and at lips and eyes
     for receiver, side in zip(receivers[:4], left[:4], strict=True):
         lifted = receiver.copy()
         lifted[1, :3] += [0.05, 0.05, 0.12]
@@ -214,6 +220,21 @@ def test_the_skin_is_one_surface_when_the_arm_is_lifted(drawn):
         edges = np.unique(np.sort(edges_of(faces), 1), axis=0)
         long = [np.linalg.norm(p[edges[:, 0]] - p[edges[:, 1]], axis=1) for p in (before, after)]
         assert long[1].max() < 3 * long[0].max()
+
+
+def test_a_head_that_is_drawn_clear_shows_nothing_inside_of_it():
+    """No eyeballs, sockets and mouth behind the skin: from the middle of the head every way out meets one surface."""
+    known = skins()
+    points, joints = known.body(0)
+    own = known.faces[known.geom == GEOMS.index("head")]
+    head = points[own[points[own][:, :, 2].min(1) > joints["shoulder"][2] + 0.05]]  # (F, 3 corners, 3)
+    middle = (head.min((0, 1)) + head.max((0, 1))) / 2 - [0.01, 0, 0]
+    ways = np.random.default_rng(0).normal(size=(400, 3))
+    ahead, aside, up = np.abs(ways[:, 0]), np.abs(ways[:, 1]), ways[:, 2] / np.linalg.norm(ways, axis=1)
+    ways = ways[(aside < ahead) & (up > -0.5)]  # neither the ears nor the neck
+    # a way meets a triangle where it is a positive sum of the ways to its corners
+    met = (np.einsum("fij,wj->fwi", np.linalg.inv((head - middle).transpose(0, 2, 1)), ways) > 0).all(2).sum(0)
+    assert np.mean(met == 1) > 0.97, np.bincount(met)
 
 
 def test_who_sits_has_a_chair_below_and_who_stands_has_none(drawn):
