@@ -22,7 +22,7 @@ LEGEND = {
     "witness": "what fails",
 }
 """Meaning of each group of `MARKS`."""
-BY_HULL = " (clear: the object's convex hull, which planning keeps clear of bodies)"
+BY_HULL = " (see-through: its hull)"
 
 
 def legend(drawings: Sequence[Drawing], groups: Collection[str] = MARKS) -> list[tuple[str, str]]:
@@ -89,7 +89,7 @@ def as_html(drawing: Drawing) -> str:
     facts = "".join(f"<li>{escape(line)}</li>" for line in _facts(drawing))
     verdict = f"{escape(drawing.stored.method)}: <b>{escape(verdict_of(drawing.stored))}</b>"
     heading = escape(title(drawing))
-    groups = [g for g in MARKS if g != "target" or not drawing.stored.moves]
+    groups = [g for g in MARKS if g != "target" or drawing.away]
     marks = "".join(
         f'<span><b style="color: {color}">\u25a0</b> {escape(words)}</span> '
         for color, words in legend([drawing], groups)

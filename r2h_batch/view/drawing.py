@@ -26,6 +26,8 @@ Color = tuple[float, float, float, float]
 
 HEAD = "receiver/head"
 """The head's geom, as large as robot and object keep off it."""
+AWAY = ("start_in_collision", "no_path_in_budget")
+"""Reasons of Plan with which nothing is met at the target; it is also drawn where it is out of reach."""
 HULL, HULL_CLEAR = "object/hull", 0.35
 """What planning takes for the object, and its opacity where it decides: the object is seen in it."""
 MARKS = ("target", "region", "ball", "palm", "width", "witness")
@@ -218,6 +220,12 @@ class Drawing:
             row["outcome"] == "presented" and row.get("presented_by") == "ball"
         )
         return ("region", "ball", "witness") if reach else ("region", "witness")
+
+    @property
+    def away(self) -> bool:
+        """Whether a trial without a motion is drawn with the arm elsewhere than at its target."""
+        stored = self.stored
+        return not stored.moves and (stored.unreachable or stored.row.get("plan_reason") in AWAY)
 
     @property
     def last(self) -> Array:

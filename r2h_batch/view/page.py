@@ -64,7 +64,7 @@ class Drawn:
         for k, mark in enumerate(drawing.marks):
             body = "" if mark.body == "world" else f"/{mark.body}"
             self._add_mark(f"{name}{body}/{mark.group}_mark_{k}", mark)
-        self.show("target", not drawing.stored.moves)
+        self.show("target", drawing.away)
         self.open = self._open_gripper()
         self.stretches: list[tuple[float, Drawing, Array, Array]] = []
 

@@ -21,8 +21,6 @@ Image = NDArray[np.uint8]
 
 LEGS = ("picks", "lifts")
 """Words for the legs before a motion."""
-AWAY = ("start_in_collision", "no_path_in_budget")
-"""Reasons of Plan with which nothing is met at the target; it is also drawn where it is out of reach."""
 RING = 0.06
 """Radius of the ring about what a failure is seen by, as a share of the picture's height."""
 CLEAR = 0.3
@@ -34,8 +32,7 @@ PASSES, FAILS = "#1b6e3c", "#a3262a"
 
 def still_groups(drawing: Drawing) -> tuple[str, ...]:
     """Marks of a trial without a motion: the target where the arm is not at it, and what is wrong."""
-    away = drawing.stored.unreachable or drawing.stored.row.get("plan_reason") in AWAY
-    return ("target", "region", "witness") if away else ("region", "witness")
+    return ("target", "region", "witness") if drawing.away else ("region", "witness")
 
 
 @contextmanager

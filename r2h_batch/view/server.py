@@ -205,7 +205,7 @@ class Viewer:
                 assert view is not None
                 drawn = Drawn(self.server.scene, drawing, view, f"/trial_{k}", APART_M * k)
                 for mark, box in self.shown.items():
-                    ghost = mark == "target" and drawing.stored.moves
+                    ghost = mark == "target" and not drawing.away
                     drawn.show(mark, bool(box.value) and not ghost)
                 self.drawn.append(drawn)
                 last = max(last, drawn.play(self.kind.value == "executed"))
