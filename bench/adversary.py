@@ -241,7 +241,11 @@ def shown(data: Mapping[str, Any]) -> dict[str, str]:
             cells.append(f"{values[f'{figure}.faults']} of {values[f'{figure}.trials']}")
             cells.append("-" if worst is None else f"{worst:.1f} {a.unit}")
         lines.append(cells)
-    return {"aims": markdown_table(head, lines)}
+    shares = " and ".join(f"{100 * values[f'adversary.{n}.pass_share']:.0f} % ({n})" for n in names)
+    return {
+        "aims": markdown_table(head, lines),
+        "pass_share_line": f"Of the random poses {shares} pass the pose stage.",
+    }
 
 
 if __name__ == "__main__":

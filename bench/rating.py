@@ -158,7 +158,7 @@ def headed(image: Image, words: str, names: Sequence[str]) -> Image:
 
 
 RATINGS = Path(__file__).with_name("ratings.csv")
-LIMITS_CM = {"S0": (0, 1, 2, 3, 4, 5, 6, 7, 8, 9), "S1": (0, 1, 2, 3, 4, 5, 6, 7), "head": (0, 5, 7.5, 10, 12.5, 15)}
+LIMITS_CM = {"S0": (0, 1, 2, 3, 5, 7, 7.5, 8, 9), "S1": (0, 1, 2, 3, 3.5, 4, 5, 7), "head": (0, 5, 7.5, 10, 12.5, 15)}
 """Limits that are compared with the majority: t of each split; the clearance from the head."""
 
 
@@ -227,17 +227,34 @@ BENCH = Bench(__doc__, measured, ("bench/rating.py", "bench/ratings.csv"))
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, str]:
-    """For each kind of picture a line for each limit: agreement with the majority, and both kinds of error."""
-    values, lines = data["values"], []
+    """How far raters agree, and for each kind of picture a line for each limit."""
+    values, lines, agreed = data["values"], [], []
     for kind, limits in LIMITS_CM.items():
-        for limit in limits:
-            figure = f"rating.{kind}.limit_{str(limit).replace('.', '_')}"
-            cells = [values[f"{figure}.{k}"] for k in ("right", "refused_but_taken", "passed_but_not_taken")]
-            lines.append([kind, f"{limit:g} cm", f"{cells[0]} of {values[f'rating.{kind}.pictures']}", *cells[1:]])
-    return {
-        "limits": markdown_table(
-            ["pictures", "limit", "agrees with the majority", "refused, but taken", "passed, but not taken"], lines
+        own = f"rating.{kind}"
+        n = values[f"{own}.pictures"]
+        pairs = [100 * values[f"{own}.raters_{a}_{b}_agree"] for a, b in combinations((1, 2, 3), 2)]
+        agreed.append(
+            [
+                kind,
+                n,
+                values[f"{own}.taken"],
+                f"{min(pairs):.0f} to {max(pairs):.0f} %",
+                f"{values[f'{own}.fleiss_kappa']:.2f}",
+            ]
         )
+        for limit in limits:
+            figure = f"{own}.limit_{str(limit).replace('.', '_')}"
+            right, refused, passed = (
+                values[f"{figure}.{k}"] for k in ("right", "refused_but_taken", "passed_but_not_taken")
+            )
+            lines.append([kind, f"{limit:g} cm", f"{right} of {n}", refused, passed])
+    return {
+        "agreement": markdown_table(
+            ["pictures", "number", "taken by most", "two raters agree", "Fleiss' kappa"], agreed
+        ),
+        "limits": markdown_table(
+            ["pictures", "limit", "agrees with most", "refused, but taken", "passed, but not taken"], lines
+        ),
     }
 
 
