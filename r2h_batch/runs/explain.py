@@ -53,6 +53,11 @@ PAIRS = {
     "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
 }  # fmt: skip
 """Pairs of bodies (`CollidingPair`) in words."""
+MET = {
+    "hand": "the person", "table": "the table", "self": "the robot itself", "object_hand": "the person",
+    "object_table": "the table", "object_robot": "the robot",
+}  # fmt: skip
+"""The second body of a pair: what Pick's reasons call something."""
 SHORT = ("ik_unreachable", "ik_not_found")
 """Reasons of Plan whose margin is how far the gripper stays from its target."""
 LEAST = 0.05
@@ -110,9 +115,7 @@ def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.
         short = f": {by} short" if by and reason in SHORT else ""
         return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
     if outcome == "pick":
-        why = PICKS.get(str(row.get("pick_reason")), "")
-        met = f" ({found})" if (found := _pick_pair(row)) else ""
-        return f"{words}{why}{met}{f', by {by}' if by else ''}".rstrip(" :,")
+        return f"{words}{_pick_why(row)}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "received":
         return f"{words}{RECEIVES.get(str(row.get('received_reason')), '')}".rstrip(" :,")
     if outcome == "presented" and (nearer := presented_words(row)):
@@ -153,6 +156,16 @@ def presented_words(row: Mapping[str, Any]) -> str:
     if ahead <= 0:
         return f"{wanted} is {-ahead:.1f} cm nearer to the palm than {NEARER[by]}"
     return f"{NEARER[by]} is {ahead:.1f} cm nearer to the palm than {wanted}"
+
+
+def _pick_why(row: Mapping[str, Any]) -> str:
+    """Pick's reason in words, with the two bodies that its margin is about, each named once."""
+    why, pair = PICKS.get(str(row.get("pick_reason")), ""), str(row.get("pick_pair"))
+    if "something" in why and pair in MET:
+        of_object, part = pair.startswith("object_"), row.get("pick_part")
+        own = "the object" if of_object else body_name(str(part)) if part else ""
+        return why.replace("something", MET[pair]) + (f" ({own})" if own else "")
+    return f"{why} ({found})" if (found := _pick_pair(row)) else why
 
 
 def _pick_pair(row: Mapping[str, Any]) -> str:

@@ -140,9 +140,10 @@ def images(
         at_home = drawing.stored.row.get("plan_reason") == "start_in_collision"
         groups = still_groups(drawing)
         seen = groups if at_home else ("target", "region")
-        found = [(paint(home, *seen), "home"), (paint(target_q, *groups), "target")]
+        where = "grasp" if drawing.stored.row["outcome"] == "pick" else "target"
+        found = [(paint(home, *seen), "home"), (paint(target_q, *groups), where)]
     with painter(drawing, size, view_of([drawing], aspect, close=True)) as paint:
-        return [*found, (paint(target_q, *groups), "target, near")][:n]
+        return [*found, (paint(target_q, *groups), f"{where}, near")][:n]
 
 
 def _end(leg: Drawing, size: tuple[int, int], view: View) -> Image:

@@ -46,6 +46,10 @@ def run(tmp_path_factory):
         (row("plan", -0.1453, plan_reason="ik_unreachable", plan_pair=None), "145.3 mm short", "145.3 mm from this one"),
         (row("plan", -0.005, plan_reason="ik_in_collision", plan_pair="hand"), "every posture", "overlaps by 5.0 mm"),
         (row("plan", -np.inf, plan_reason="no_path_in_budget", plan_pair=None), "no path was found", "a longer search"),
+        (row("pick", -0.0009, pick_reason="grasp_collides", pick_pair="table", pick_part="right_inner_finger_1"),
+         "fails: the open gripper meets the table at the grasp (right inner finger), by 0.9 mm", "a grasp that the table"),
+        (row("pick", -0.002, pick_reason="lift_collides", pick_pair="object_table", pick_part=None),
+         "fails: the table is in the way up (the object), by 2.0 mm", "a grasp that the table"),
     ],
 )  # fmt: skip
 def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stored, why, passes):
