@@ -126,10 +126,9 @@ def _run(
             shares := sweep.shares(setting.evaluator.benchmark, setting.header["trials"])
         ):
             LOG.info(f"sweep: {shares}")
-        if setting.evaluator.benchmark.certified is not None and (left := _uncertified(setting)):
-            LOG.info(
-                f"sweep: {left} of {setting.planned} trials are not known to have a whole way (docs/r2h_v3.md#certificates)"
-            )
+        if setting.evaluator.benchmark.certified is not None:
+            for line in _uncertified(setting):
+                LOG.info(f"sweep: {line} (docs/r2h_v3.md#certificates)")
         planned, seconds = counted(setting.planned, "trials"), time.perf_counter() - start
         LOG.debug(f"ready in {seconds:.1f} s: {setting.evaluator!r}, {planned}")
         jobs = sweep_jobs.make_jobs(setting, files)
@@ -267,9 +266,17 @@ def _finish(sweep: "Sweep", names: list[str], *, alone: bool, without: bool) -> 
     return code
 
 
-def _uncertified(setting: "Setting") -> int:
-    """How many trials of a benchmark with certificates have none."""
-    own = setting.evaluator.benchmark.own_certified
-    return setting.planned - (
-        0 if own is None else int(own.knows(setting.ids(0, setting.planned).numpy()).sum())
-    )
+def _uncertified(setting: "Setting") -> list[str]:
+    """Lines on the trials of a benchmark with certificates that have none."""
+    own, planned = setting.evaluator.benchmark.own_certified, setting.planned
+    ids = setting.ids(0, planned).numpy()
+    later = 0 if own is None or not own.search else int((~own.holds(ids)).sum())
+    never = planned - later - (0 if own is None else int(own.knows(ids).sum()))
+    lines = []
+    if later:
+        lines.append(
+            f"{later} of {planned} trials are searched for a whole way when they are drawn first"
+        )
+    if never:
+        lines.append(f"{never} of {planned} trials are not known to have a whole way")
+    return lines

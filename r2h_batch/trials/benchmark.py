@@ -40,7 +40,7 @@ from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.person import MADE_OF
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
-from r2h_batch.trials.certified import Answers, Certified
+from r2h_batch.trials.certified import Answers, Certified, certified_of
 from r2h_batch.trials.draw.rule import Given, Rule
 from r2h_batch.trials.trials_file import Labels, listed_with_ids
 from r2h_batch.types import Trials
@@ -177,17 +177,20 @@ class Benchmark:
         head = ("head",) if self.receiver == "body" else ()
         found, then = {}, replace(self, head_clearance_m=0.0)
         if head:
-            found[self._redrawn(then._digest_of(self._asks, person=""))] = head
+            before = then._digest_of(self._asks, person="")
+            found[self._redrawn(before, searched=False)] = head
         if "received" in self.asks:
-            words = f"asks {' '.join(asks)}\n"
-            found[self._redrawn(then._digest_of(words, person=""))] = ("taken", *head)
+            before = then._digest_of(f"asks {' '.join(asks)}\n", person="")
+            found[self._redrawn(before, searched=False)] = ("taken", *head)
         return found
 
-    def _redrawn(self, digest: str) -> str:
-        """A digest of trials that are drawn once, with how often they were drawn again."""
+    def _redrawn(self, digest: str, *, searched: bool = True) -> str:
+        """A digest of trials that are drawn once, with how often they were drawn again, and how the others are. `searched`:
+        False where these were drawn once."""
         if (certified := self.own_certified) is None:
             return digest
-        return hashlib.sha256(f"{digest} redrawn {certified.digest}".encode()).hexdigest()
+        others = f" others {certified.search}" if searched and certified.search else ""
+        return hashlib.sha256(f"{digest} redrawn {certified.digest}{others}".encode()).hexdigest()
 
     @cached_property
     def undrawn_digest(self) -> str:
@@ -204,8 +207,18 @@ class Benchmark:
         fits = certified is not None and certified.benchmark == self.undrawn_digest
         return certified if fits else None
 
+    def _certified_of(self, trial_id: NDArray[np.int64]) -> Certified | None:
+        """`own_certified`, with trials beyond it where they are searched for (`Certified.search`)."""
+        own = self.own_certified
+        if own is None or not own.search:
+            return own
+        return certified_of(
+            self, trial_id[trial_id < 2 * MOST_TRIALS]
+        )  # a stream's trials are others
+
     def redraws(self, trial_id: NDArray[np.int64]) -> NDArray[np.int64]:
-        """How often trials were drawn again until they were known to have a whole way.
+        """How often trials were drawn again until they were known to have a whole way. Where the benchmark searches trials
+        that its file does not know, they are searched when they are asked for the first time.
 
         Args:
             trial_id: (n,) ids.
@@ -213,7 +226,7 @@ class Benchmark:
         Returns:
             (n,) 0 for trials that are as they were drawn first.
         """
-        certified = self.own_certified
+        certified = self._certified_of(trial_id)
         return (
             np.zeros(len(trial_id), np.int64)
             if certified is None
@@ -226,7 +239,7 @@ class Benchmark:
         Args:
             trial_id: (n,) ids.
         """
-        certified = self.own_certified
+        certified = self._certified_of(trial_id)
         if certified is not None and not any(o.who.turn for o in self.objects):
             return certified.answers(trial_id)
         nothing = np.tile(np.eye(4, dtype=np.float32), (len(trial_id), 1, 1))

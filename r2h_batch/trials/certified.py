@@ -2,15 +2,20 @@
 
 `assets/certified/build_certified.py` makes the files. A certificate holds for the benchmark whose digest it names: with other
 objects, people, robot, table or seed the trials are drawn once, and nothing is certified.
+
+Where the benchmark names a `search`, its trials beyond the file are certified when they are first asked for, and kept on disk
+(`io.cache`): any number of trials is solvable by construction.
 """
 
 import hashlib
 import zlib
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from importlib.resources import as_file, files
 from pathlib import Path
-from typing import NamedTuple
+from threading import Lock
+from typing import TYPE_CHECKING, Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -18,8 +23,37 @@ from jaxtyping import Bool, Float32, Int64
 from numpy.typing import NDArray
 
 from r2h_batch.base.errors import FileError
+from r2h_batch.base.io.cache import ArraySpec, cached, code_digest, is_cached
+from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
+from r2h_batch.plugins import Registry
 
+if TYPE_CHECKING:
+    from r2h_batch.trials.benchmark import Benchmark
+
+SEARCH: "Registry[Callable[[Benchmark, NDArray[np.int64]], Certified]]" = Registry(
+    "search", modules=("r2h_batch.methods.certify",), names=("oracle",), light=True
+)
+"""Searches that certify trials of a benchmark, by name: (benchmark, ids ascending) -> `Certified`. A trial's certificate
+depends on its own id alone. Trials know no method: the search's module is imported when a trial is asked for that no file
+knows."""
+AT_ONCE = 64
+"""Trials that are certified together."""
+CODE = tuple(
+    f"r2h_batch.{name}"
+    for name in (
+        *("config", "evaluate", "judge", "observe", "scene", "stages", "trials", "trials.draw", "trials.holding"),
+        *("methods.candidates", "methods.certify", "methods.from_table", "methods.oracle"),
+        *("kernels.geometry", "kernels.grasp", "kernels.ik", "kernels.judge", "kernels.plan", "kernels.robot"),
+    )
+)  # fmt: skip
+"""What decides a certificate: with other code, those on disk are made anew."""
+VERSIONS = ("torch", "warp-lang", "numpy")
+_KIND = "certified"
+_FORM = {
+    "redraws": ArraySpec("int64", (1,)), "solved": ArraySpec("bool", (1,)),
+    "T_obj_ee": ArraySpec("float32", (1, 4, 4)), "T_world_ee": ArraySpec("float32", (1, 4, 4)),
+}  # fmt: skip
 NEVER = 0
 """Redraws of a trial for which nothing was found: it stays the first one, without an answer."""
 _ARRAYS = ("trial_id", "redraws", "solved", "T_obj_ee", "T_world_ee")
@@ -44,6 +78,7 @@ class Certified:
         T_obj_ee: (N, 4, 4) grasps of these answers, m.
         T_world_ee: (N, 4, 4) handover poses, m.
         benchmark: `Benchmark.undrawn_digest` of the benchmark that they are trials of.
+        search: name in `SEARCH` of what certifies trials that are not here; empty: such trials are drawn once.
     """
 
     trial_id: Int64[NDArray[np.int64], " N"]
@@ -52,6 +87,7 @@ class Certified:
     T_obj_ee: Float32[NDArray[np.float32], "N 4 4"]
     T_world_ee: Float32[NDArray[np.float32], "N 4 4"]
     benchmark: str
+    search: str = ""
 
     @cached_property
     def digest(self) -> str:
@@ -71,6 +107,10 @@ class Certified:
         at, here = self._at(trial_id)
         return here & self.solved[at]
 
+    def holds(self, trial_id: Int64[NDArray[np.int64], " n"]) -> Bool[NDArray[np.bool_], " n"]:
+        """Whether each of these trials (n,) is here, with an answer or without."""
+        return self._at(trial_id)[1]
+
     def answers(self, trial_id: Int64[NDArray[np.int64], " n"]) -> Answers:
         """The answers of these trials (n,)."""
         at, _ = self._at(trial_id)
@@ -82,14 +122,80 @@ class Certified:
         return at, self.trial_id[at] == trial_id
 
 
-def load_certified(name: str) -> Certified:
+def load_certified(name: str, *, search: str = "") -> Certified:
     """The certificates that the package ships for a benchmark.
 
     Args:
         name: of the benchmark.
+        search: of trials beyond those, a name in `SEARCH`.
     """
     with as_file(files("r2h_batch.assets") / "certified" / f"{name}.npz") as path:
-        return read_certified(path)
+        return replace(read_certified(path), search=search)
+
+
+_beyond: dict[tuple[str, float], Certified] = {}
+"""Digest of a benchmark and its `head_clearance_m`, which that leaves out -> what was found of its trials beyond its file, in
+this process."""
+_one_search = Lock()
+
+
+def certified_of(benchmark: "Benchmark", trial_id: Int64[NDArray[np.int64], " n"]) -> Certified:
+    """Certificates of a benchmark with a search that hold these trials: those of its file, and those that are found now.
+
+    Args:
+        benchmark: has certificates of its own.
+        trial_id: (n,) ids.
+    """
+    own = benchmark.own_certified
+    assert own is not None  # the caller has asked
+    new = np.unique(trial_id[~own.holds(trial_id)])
+    if not len(new):
+        return own
+    key = own.benchmark, benchmark.head_clearance_m
+    with _one_search:
+        found = _beyond.get(key)
+        left = new if found is None else new[~found.holds(new)]
+        if len(left):
+            added = _searched(benchmark, left)
+            found = added if found is None else joined_certified(found, added)
+            _beyond[key] = found
+    assert found is not None
+    return joined_certified(own, found)
+
+
+def _searched(benchmark: "Benchmark", trial_id: NDArray[np.int64]) -> Certified:
+    """Certificates of these trials, read from disk or found."""
+    own = benchmark.own_certified
+    assert own is not None
+    made_with = (
+        f"{own.benchmark} {benchmark.head_clearance_m} {own.search} {code_digest(CODE, VERSIONS)}"
+    )
+    keys = {i: hashlib.sha256(f"{made_with} {i}".encode()).hexdigest() for i in trial_id.tolist()}
+    rows: dict[int, dict[str, NDArray[Any]]] = {}
+
+    def search(ids: NDArray[np.int64]) -> None:
+        found = SEARCH[own.search](benchmark, ids)
+        for k, i in enumerate(ids.tolist()):
+            rows[i] = {name: getattr(found, name)[k : k + 1] for name in _FORM}
+
+    def row(i: int) -> dict[str, NDArray[Any]]:
+        if i not in rows:  # its file was there a moment ago, and is gone or damaged
+            search(np.array([i]))
+        return rows[i]
+
+    new = np.array([i for i, key in keys.items() if not is_cached(_KIND, key)], np.int64)
+    kept: dict[int, Any] = {}
+    if len(new):
+        with progress("searching trials (kept on disk)", len(new), "trials") as advance:
+            for part in np.split(new, range(AT_ONCE, len(new), AT_ONCE)):
+                search(part)
+                for i in part.tolist():  # at once: a search that is stopped goes on behind it
+                    kept[i] = cached(_KIND, keys[i], partial(row, i), _FORM)
+                advance(len(part))
+    for i, key in keys.items():
+        kept[i] = kept.get(i) or cached(_KIND, key, partial(row, i), _FORM)
+    columns = {name: np.concatenate([kept[i][name] for i in keys]) for name in _FORM}
+    return Certified(trial_id, **columns, benchmark=own.benchmark)
 
 
 def read_certified(path: Path) -> Certified:
@@ -124,7 +230,7 @@ def joined_certified(before: Certified, found: Certified) -> Certified:
     columns = {
         k: np.concatenate([getattr(before, k)[kept], getattr(found, k)])[order] for k in _ARRAYS
     }
-    return Certified(**columns, benchmark=before.benchmark)
+    return Certified(**columns, benchmark=before.benchmark, search=before.search)
 
 
 def save_certified(path: Path, certified: Certified) -> None:

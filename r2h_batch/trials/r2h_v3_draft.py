@@ -21,7 +21,7 @@ HEAD_CLEARANCE_M = 0.10
 def r2h_v3_draft() -> Benchmark:
     """r2h-v2 with Pick, Presented and Received, and trials of its own."""
     rule = Rule("r2h-v3-draft", place_reaching, bodies=True)
-    v2, known = named_benchmark("r2h-v2"), load_certified("r2h-v3-draft")
+    v2, known = named_benchmark("r2h-v2"), load_certified("r2h-v3-draft", search="oracle")
     return replace(
         v2, rule=rule, name="r2h-v3-draft", head_clearance_m=HEAD_CLEARANCE_M, asks=ASKED_NAMES, certified=known
     )  # fmt: skip

@@ -14,8 +14,10 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
+from r2h_batch.methods.certify import certify
 from r2h_batch.observe import moments
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.trials import certified
 from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.trials.certified import Certified, joined_certified, load_certified, read_certified, save_certified
 from r2h_batch.trials.edit import in_frame
@@ -48,8 +50,6 @@ def test_the_shipped_file_is_of_the_draft_and_knows_each_of_its_trials(draft):
     assert np.array_equal(own.trial_id, np.arange(n)) and n >= 1000 and own.redraws.min() == 0
     assert own.solved.mean() > 0.98 and (own.redraws > 0).any() and (own.redraws > 0).mean() < 0.2
     assert np.array_equal(draft.redraws(own.trial_id), own.redraws)
-    assert draft.redraws(np.array([n, n + 7])).tolist() == [0, 0]
-    assert not draft.certificates(np.array([n])).known.any()
 
 
 def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
@@ -68,7 +68,8 @@ def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
 
 
 def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(draft):
-    """At commit 7d23856b, whose draft asked for a criterion more."""
+    """At commit 7d23856b, whose draft asked for a criterion more, and whose trials beyond its file were drawn once."""
+    draft = replace(draft, certified=replace(draft.certified, search=""))
     ids = np.arange(1040, dtype=np.int64)
     redraws = hashlib.sha256(draft.redraws(ids).astype("<i8").tobytes()).hexdigest()
     assert redraws == "7abd2856ee8a901f32a70409fb7a7c517c6cb2f53aa31365d608eb3690b6c1b7"
@@ -183,20 +184,75 @@ def test_a_file_is_read_as_it_was_written(again, tmp_path, monkeypatch):
     assert own.digest == again.certified.digest
 
 
-def test_a_sweep_says_how_many_trials_are_not_certified(draft, tmp_path, capsys):
+def test_a_sweep_says_how_many_trials_are_not_certified(draft, tmp_path, capsys, monkeypatch):
     n = len(draft.own_certified.trial_id) // 2
     line = ["--benchmark", "r2h-v3-draft", "--until", "present", "--method", "random", "--execute.sim", "none"]
     assert sweep([*line, "--trials", "1", "--out", str(tmp_path / "a")]) == 0
-    assert "not known to have a whole way" not in capsys.readouterr().err
+    assert "a whole way" not in capsys.readouterr().err
+    monkeypatch.setattr(certified, "SEARCH", {"oracle": Told()})
     assert sweep([*line, "--trials", str(n + 1), "--splits", "S0", "--out", str(tmp_path / "b")]) == 0
-    assert f"1 of {n + 1} trials are not known to have a whole way" in capsys.readouterr().err
+    assert f"1 of {n + 1} trials are searched for a whole way when they are drawn first" in capsys.readouterr().err
+
+
+class Told:
+    """A search that says at once: redrawn as often as the id leaves over divided by 3, solved where that is not 2."""
+
+    def __init__(self) -> None:
+        self.asked: list[list[int]] = []
+
+    def __call__(self, benchmark, trial_id):
+        self.asked.append(trial_id.tolist())
+        T = np.tile(np.eye(4, dtype=np.float32), (len(trial_id), 1, 1))
+        return Certified(trial_id, trial_id % 3, trial_id % 3 < 2, T, T, benchmark.undrawn_digest)
+
+
+def test_trials_beyond_the_file_are_searched_once_and_kept_on_disk(draft, tmp_path, monkeypatch):
+    told, n = Told(), len(draft.own_certified.trial_id)
+    monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(certified, "SEARCH", {"oracle": told})
+    monkeypatch.setattr(certified, "AT_ONCE", 2)
+    monkeypatch.setattr(certified, "_beyond", {})
+    ids = np.array([n + 4, 3, n, n + 1, n + 4])
+    assert draft.redraws(ids).tolist() == [(n + 4) % 3, draft.own_certified.redraws[3], n % 3, (n + 1) % 3, (n + 4) % 3]
+    assert told.asked == [[n, n + 1], [n + 4]]
+    assert draft.certificates(ids).known.tolist() == [(i % 3 < 2) if i >= n else True for i in ids.tolist()]
+    load_benchmark("r2h-v3-draft").redraws(ids[::-1])
+    monkeypatch.setattr(certified, "_beyond", {})  # another process
+    assert draft.redraws(ids[2:3]).tolist() == [n % 3] and len(told.asked) == 2
+    draft.redraws(np.array([1 << 40, (1 << 40) + 1]))  # of a stream
+    assert len(told.asked) == 2
+    monkeypatch.setattr(certified, "_beyond", {})
+    for file in each(sorted((tmp_path / "cache" / "certified").glob("*.npz"))):
+        file.write_bytes(file.read_bytes()[:-40])
+    assert draft.redraws(ids[2:3]).tolist() == [n % 3] and told.asked[2:] == [[n]]
+
+
+def test_trials_beyond_the_file_are_other_trials_than_those_drawn_once(draft):
+    """So the digest says it; that of before is known."""
+    once = replace(draft, certified=replace(draft.certified, search=""))
+    assert once.digest != draft.digest and once.undrawn_digest == draft.undrawn_digest
+    assert not once.redraws(np.array([5000])).any() and not once.certificates(np.array([5000])).known.any()
+
+
+def test_a_trial_beyond_the_file_is_solved_by_the_answer_that_comes_with_it_whoever_is_searched_beside_it(draft):
+    n = len(draft.own_certified.trial_id)
+    ids = np.arange(n, n + 3)
+    found, lone = certify(draft, ids), certify(draft, ids[1:2])
+    for name in each(("redraws", "solved", "T_obj_ee", "T_world_ee")):
+        assert np.array_equal(getattr(found, name)[1:2], getattr(lone, name)), name
+    drawn = replace(draft, certified=found)
+    trials = drawn.trials_with_ids(torch.from_numpy(ids))
+    answers = torch.from_numpy(found.T_obj_ee), torch.from_numpy(found.T_world_ee)
+    assert found.solved.any() and np.array_equal(
+        Evaluator(drawn, KINEMATIC).score(*answers, trials).success, found.solved
+    )
 
 
 def test_files_that_are_made_part_by_part_hold_each_trial_once_and_what_was_found_last(draft, again, tmp_path):
     whole = draft.own_certified
     parts = [
         Certified(
-            **{f.name: getattr(whole, f.name)[rows].copy() for f in fields(Certified)[:-1]}, benchmark=whole.benchmark
+            **{f.name: getattr(whole, f.name)[rows].copy() for f in fields(Certified)[:-2]}, benchmark=whole.benchmark
         )
         for rows in (slice(40, 70), slice(0, 50), slice(70, 90))
     ]
@@ -206,7 +262,7 @@ def test_files_that_are_made_part_by_part_hold_each_trial_once_and_what_was_foun
     save_certified(tmp_path / "x.npz", joined)
     read = read_certified(tmp_path / "x.npz")
     assert read.benchmark == whole.benchmark and read.solved.all()
-    for f in each(fields(Certified)[:-1]):
+    for f in each(fields(Certified)[:-2]):
         assert np.array_equal(getattr(read, f.name), getattr(whole, f.name)[:90]), f.name
         assert getattr(read, f.name).dtype == getattr(whole, f.name).dtype
     with pytest.raises(ValueError, match="two benchmarks"):
