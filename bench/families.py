@@ -512,16 +512,16 @@ def table_one(data: Mapping[str, Any]) -> str:
     lines = [
         [
             t + (" ^" if short(t) in moved else "") + (" *" if short(t) in LEARNED else ""),
+            rows["S0", short(t)]["reads"],
             cell("S0", short(t)),
             cell("S1", short(t)),
             beside(short(t), whole["pairs"]),
         ]
         for t in titles
     ]
-    lines.insert(
-        1 + [short(t) for t in titles].index("Contact"), ["Contact-Handover, category not seen", *data["unseen"]]
-    )
-    return markdown_table(["", "SR S0", "SR S1", "beside the others"], lines)
+    unseen = ["Contact-Handover, category not seen", rows["S0", "Contact"]["reads"], *data["unseen"]]
+    lines.insert(1 + [short(t) for t in titles].index("Contact"), unseen)
+    return markdown_table(["", "reads", "SR S0", "SR S1", "beside the others"], lines)
 
 
 def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:

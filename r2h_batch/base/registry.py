@@ -118,6 +118,17 @@ METHODS: Registry[Any] = Registry(
 )
 """Built-in methods' entries, and functions that packages name as `method.NAME`."""
 
+READS = {
+    "scene": "exact meshes, the receiver's region, the true table of grasps, the hand as it stands",
+    "estimates": "estimates of hand, parts or contacts; meshes and the table of grasps are exact",
+    "cloud": "points on object and hand; no mesh, no region, no table of grasps",
+    "cameras": "what depth cameras see (--sees)",
+    "judge": "the evaluator that judges it",
+}
+"""What a method may read, as tables, run folders and files of answers say it."""
+NOT_SAID = "not said"
+"""In tables, of answers whose file does not say it."""
+
 
 def _no_question(name: str, thing: Any) -> str:
     fields = {"name": str, "version": int, "function": Callable, "schema": object}

@@ -104,10 +104,13 @@ def compare(
         }
         for n, k, own in called
     }
+    reads = {n: stored[k].entry(own).reads for n, k, own in called}
     if format == "md" and not full:
-        sys.stdout.write(brief(comparisons, notes, turns))
+        sys.stdout.write(brief(comparisons, notes, turns, reads))
         return 0
-    text = render(comparisons, format, origin=origin, notes=notes, turns=turns, shares=shares)
+    text = render(
+        comparisons, format, origin=origin, notes=notes, turns=turns, shares=shares, reads=reads
+    )
     sys.stdout.write(text)
     return 0
 

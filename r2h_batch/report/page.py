@@ -23,6 +23,7 @@ from r2h_batch.report.statistics.paired import Comparison, compare, pair_up
 from r2h_batch.report.statistics.tally import Tally, tally
 from r2h_batch.report.table import (
     BEST_NOTE,
+    READS_COLUMN,
     SPLIT,
     Report,
     best_cells,
@@ -164,6 +165,7 @@ def _overview(report: Report, compared: Sequence[Comparison], short: Mapping[str
     failures = [replace(number_column(report, c), title=words, ends=False) for c in report.failures]
     columns = (
         replace(method_column(short), about="about"),
+        READS_COLUMN,
         *(Column(s, f"SR {s}", PERCENT, ends=True, bar=True) for s in splits),
         Column(
             "rank",
@@ -312,7 +314,7 @@ def _full(report: Report, short: Mapping[str, str]) -> Table:
     }
     few, form = f"95 %: the mean of {report.few} {kind} that you bring", "{low:.1f}\u2013{high:.1f}"
     columns = (
-        *(SPLIT, replace(method_column(short), about="about")),
+        *(SPLIT, replace(method_column(short), about="about"), READS_COLUMN),
         *(number_column(report, c) for c in report.headings),
         Column(f"sr_new_{kind}", f"SR, new {kind}", form, title=f"95 %: the mean of all {kind}"),
         Column("sr_few", f"SR, of {report.few} new", form, title=few),

@@ -9,6 +9,7 @@ from math import floor, log10
 from pathlib import Path
 from typing import Any
 
+from r2h_batch.base.registry import NOT_SAID
 from r2h_batch.base.table import (
     INTERVAL,
     NA,
@@ -134,6 +135,7 @@ class Report:
         scans: the lines of the same methods on the reader's own objects, by split and method.
         bounds: methods that are bounds (random, oracle): none of their cells is best.
         trained: what methods that learned were trained on, a sentence each.
+        reads: method -> what it may read, a word of `READS`; empty where nobody says.
         unjudged: criteria that did not judge rows, or whose package is not installed, a sentence each.
     """
 
@@ -146,6 +148,7 @@ class Report:
     bounds: tuple[str, ...] = ()
     trained: tuple[str, ...] = ()
     unjudged: tuple[str, ...] = ()
+    reads: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -296,6 +299,7 @@ def table_of(
         bounds,
         sentences(run),
         _unjudged(run, rows),
+        {e.name: e.reads for e in run.entries},
     )
 
 
@@ -530,7 +534,7 @@ def _scans(report: Report, row: Row) -> Row | None:
 
 def _with_more(report: Report, row: Row) -> dict[str, Any]:
     """A record, with SR on the reader's own objects and the turn test where the table has them."""
-    found = record(row)
+    found = record(row) | {"reads": report.reads.get(row.method) or NOT_SAID}
     ends: tuple[float | None, ...]
     for name in ASKED_FOR:
         if name in report.shares and name not in row.shares:  # a line of averages
@@ -563,6 +567,7 @@ def records_of(report: Report) -> list[dict[str, Any]]:
 
 
 SPLIT = Column("split", "Split", left=True)
+READS_COLUMN = Column("reads", "Reads", left=True, title="what the method may read")
 
 
 def method_column(short: Mapping[str, str]) -> Column:
@@ -620,6 +625,7 @@ def brief(report: Report, more: str = "r2h-batch report RUN --full") -> str:
         *(() if wide else (SPLIT,)),
         *(
             method_column(short),
+            READS_COLUMN,
             *splits,
             number_column(report, "sr"),
             Column("ci", "95 %", INTERVAL),
@@ -695,6 +701,7 @@ def _md(report: Report) -> str:
     families = [Column("sr_new_categories", "SR new cat.", INTERVAL)] if report.families else []
     sections = {
         "Rates in percent, times in seconds.": [
+            READS_COLUMN,
             *(number_column(report, c) for c in headings),
             *([Column("sr_scans", "SR scans", PERCENT)] if report.scans else []),
         ],
@@ -805,6 +812,7 @@ def _wide(report: Report, short: Mapping[str, str], *, times: bool) -> Table:
         replace(names, form=name),
         *(number_column(report, c) for c in headings),
         *share_columns(report),
+        READS_COLUMN,
     ]
     bold = {
         (k, c)

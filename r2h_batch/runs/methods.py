@@ -7,10 +7,16 @@ from pathlib import Path
 from typing import Any
 
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.registry import READS
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import Method, checked, read_json, shard_at, shard_count
 from r2h_batch.runs.shard import StoredShard, stored_files
 
+_BEFORE = {
+    **dict.fromkeys(("fc", "handover-va", "contact", "intent", "learned"), "estimates"),
+    **dict.fromkeys(("oracle", "robust"), "judge"),
+}
+"""What built-in methods of runs read that do not say it."""
 _SLUG = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]{0,79}")
 
 
@@ -58,6 +64,21 @@ class Entry:
     def complete(self) -> bool:
         """Whether every shard is stored; run.json may claim a million, so none is listed."""
         return len(self.shards) == shard_count(self.header)
+
+    @property
+    def reads(self) -> str:
+        """What the method may read, a word of `READS`; empty where nobody says it. Runs of 0.3 go by the method."""
+        if (word := self.source.get("reads", "")) in READS:
+            return word
+        if self.source.get("kind") != "method":
+            return ""
+        if self.header.get("sees") is not None:
+            return "cameras"
+        module = self.source.get("function", "").partition(":")[0]
+        known = {
+            f"r2h_batch.methods.{name.replace('-', '_')}": own for name, own in _BEFORE.items()
+        }
+        return known.get(module, "scene")
 
     def listed(self) -> "Entry":
         """The method with the shards that its folder holds now."""

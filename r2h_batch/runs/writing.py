@@ -115,7 +115,9 @@ class RunFolder:
             entry = entry or Entry(self.folder, self.header, slug, **new)
             if entry.name == method:
                 old = entry.source
-                if other := [k for k in {**old, **source} if old.get(k) != source.get(k)]:
+                # what it reads decides no row, and 0.3 did not say it
+                keys = (k for k in {**old, **source} if k != "reads")
+                if other := [k for k in keys if old.get(k) != source.get(k)]:
                     if overwrite:
                         self._drop(entry)
                         self.register(method, source)

@@ -23,7 +23,7 @@ from r2h_batch.base.gone import gone
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.own_imports import PACKAGE
-from r2h_batch.base.registry import METHOD_NAMES, METHODS
+from r2h_batch.base.registry import METHOD_NAMES, METHODS, READS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, raised, user_files
 from r2h_batch.base.validate import describe_value
@@ -324,6 +324,7 @@ def make_jobs(setting: Setting, files: Files) -> list[Job]:
                 LOG.info(words)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
+        source |= {"reads": answers.reads} if answers.reads else {}
         jobs.append(Job(predictions.method, source, partial(_rows_of, answers), rows, motions))
     names = [job.name for job in jobs]
     if twice := sorted({n for n in names if names.count(n) > 1}):
@@ -452,6 +453,24 @@ def _signature(function: Any) -> inspect.Signature:
         raise TypeError(words_of(error).partition(": ")[2]) from error
 
 
+def method_reads(argument: str, *, seeing: bool = False) -> str:
+    """What a method may read, a word of `READS`: what its arguments are, or what it declares where they allow it.
+
+    Args:
+        argument: of `--method`.
+        seeing: it is shown what cameras see.
+    """
+    method = _method(argument, seeing=seeing)
+    if seeing:
+        return "cameras"
+    if "evaluator" in method.takes:
+        return "judge"
+    declared = getattr(method.found.function, "reads", "")
+    if isinstance(declared, str) and declared in READS:
+        return declared
+    return "estimates" if {"noise", "seen"} & method.takes.keys() else "scene"
+
+
 def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
     return "seed" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
@@ -474,6 +493,7 @@ def _method_job(
     base = own_name(name) or (base_of(name) if built_in else method.found.spec)
     title = f"{base} ({method_options})" if method_options and not own_name(name) else base
     source = {"kind": "method", "function": method.found.spec}
+    source["reads"] = method_reads(name, seeing=sweep.seeing is not None)
     if told := _trained_on(name, method, evaluator):
         source[TRAINED_ON] = told
     if method_options:

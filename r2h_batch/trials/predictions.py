@@ -30,12 +30,13 @@ from r2h_batch.base.declared import (
     taken,
     unit_of,
 )
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
 from r2h_batch.base.io.read import open_file, printable, read_npz
 from r2h_batch.base.io.tables import MAX_CSV_BYTES, read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
-from r2h_batch.base.validate import instance_of, text
+from r2h_batch.base.registry import READS
+from r2h_batch.base.validate import instance_of, one_of, text
 from r2h_batch.base.validate import path as path_rule
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.types import Predictions, Trials
@@ -117,6 +118,8 @@ class Answers:
     """what the file declares of `T_world_ee`: `hand` is still to be taken into the world (`in_world`)"""
     joint_names: tuple[str, ...] = ()
     """of the columns of q, where the file declares them"""
+    reads: str = ""
+    """what the method read, a word of `READS`; empty: the file does not say"""
 
     def in_world(self, poses: Predictions, trials: Trials) -> Predictions:
         """Poses of these answers in the world, each of the trial in its row."""
@@ -214,6 +217,7 @@ def load_answers(path: str | Path) -> Answers:
         shown = printable(path)
         declared = taken(arrays, shown)
         benchmark = _one_text(arrays.pop("benchmark", np.array("")), "benchmark", shown)
+        reads = _reads(arrays, shown)
         ids = None
         if "id" in arrays:
             check_array(f"{shown}: id", arrays["id"], ("U", ("N",)))
@@ -229,7 +233,7 @@ def load_answers(path: str | Path) -> Answers:
             if declared.joint_names:
                 raise FileError(f"{shown}: declares joint_names, and has no motions (q)")
             poses = _declared_poses(_checked(path, arrays, method), declared)
-            return Answers(poses, None, ids, benchmark, declared.frame)
+            return Answers(poses, None, ids, benchmark, declared.frame, reads=reads)
         how = _HOW_MOTIONS
         motions = _motions(arrays, shown, declared)
         if "T_world_ee" not in arrays:
@@ -237,7 +241,7 @@ def load_answers(path: str | Path) -> Answers:
                 raise FileError(f"{shown}: length of some trial is 0, and there is no T_world_ee")
             arrays["T_world_ee"] = np.full((len(motions.length), 4, 4), np.nan, np.float32)
         poses = _declared_poses(_checked(path, arrays, method), declared)
-        return Answers(poses, motions, ids, benchmark, declared.frame, declared.joint_names)
+        return Answers(poses, motions, ids, benchmark, declared.frame, declared.joint_names, reads)
     except FileError as error:
         raise FileError(f"{error}; {how}") from error
 
@@ -357,11 +361,22 @@ def _one_text(value: Any, name: str, shown: str) -> str:
     return str(value.item())
 
 
+def _reads(arrays: dict[str, Any], shown: str) -> str:
+    """What the method of a file read, as it says; it may be the same text in every row."""
+    given = np.unique(arrays.pop("reads", np.array("")))
+    word = _one_text(given, "reads", shown)
+    if word and word not in READS:
+        raise FileError(
+            f"{shown}: reads is {printable(word)[:40]!r}{nearest(word, list(READS))}; allowed are {', '.join(READS)}"
+        )
+    return word
+
+
 def _parquet(path: Path) -> dict[str, Any]:
     """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
     from r2h_batch.base.io.parquet import read_parquet_arrays  # 0.1 s, for few files
 
-    texts = ["id", *DECLARED]
+    texts = ["id", "reads", *DECLARED]
     arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=texts)
     if "joint_names" in counts:
         arrays["joint_names"] = _of_rows(arrays["joint_names"], counts["joint_names"], path)
@@ -404,7 +419,7 @@ def _checked(path: Path, arrays: dict[str, Any], method: str) -> Predictions:
         found = f"method {printable(method[:120])!r}"
         raise FileError(f"{shown}: {found} must be 1 to {MAX_METHOD_CHARS} printable characters")
     optional, poses = ("t_method_s",), ("T_obj_ee", "T_world_ee", "t_method_s")
-    others = ("method", "benchmark", *DECLARED)
+    others = ("method", "benchmark", "reads", *DECLARED)
     n = check_arrays(arrays, _SPECS, shown, optional=optional, only=True, gaps=poses, taken=others)[
         "N"
     ]
@@ -500,7 +515,9 @@ def check_frame(answers: Answers, rows: Tensor, trials: Trials, source: str) -> 
     return words
 
 
-def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: str = "") -> None:
+def write_predictions(
+    path: str | Path, predictions: Predictions, *, benchmark: str = "", reads: str = ""
+) -> None:
     """Write predictions to a .npz file; `load_predictions` reads them back equal.
 
     Args:
@@ -508,6 +525,7 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
         predictions: the predictions.
         benchmark: `Trials.benchmark` of the trials that they answer; a sweep on another benchmark then
             refuses the file.
+        reads: what the method read: scene, estimates, cloud, cameras or judge; tables say it.
 
     Raises:
         FileError: the file has another ending.
@@ -526,6 +544,7 @@ def write_predictions(path: str | Path, predictions: Predictions, *, benchmark: 
         shown = printable(path)
         raise FileError(f"{shown}: predictions are written as .npz, not {path.suffix!r}")
     told = {"benchmark": np.array(benchmark)} if text("benchmark", benchmark) else {}
+    told |= {"reads": np.array(one_of(*READS)("reads", reads))} if text("reads", reads) else {}
     told |= ours("frame", "time_unit")
     with contextlib.suppress(FileError):  # whoever reads poses in other units is warned instead
         _declared_poses(predictions, Declared(length_unit="m"))

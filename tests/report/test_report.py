@@ -59,7 +59,7 @@ def table_with(heading: str, text: str) -> list[list[str]]:
 @pytest.mark.check
 def test_markdown_gives_back_every_cell_of_table_1_in_its_order(paper, expected):
     heading, *rows = md_tables(report.render(paper, "md"))[0]
-    assert heading == ["Split", "Method", *report.HEADINGS.values()]
+    assert heading == ["Split", "Method", "Reads", *report.HEADINGS.values()]
     at = [heading.index(report.HEADINGS[name]) for name in COLUMNS]
     assert {(r[0], r[1]): [r[k] for k in at] for r in rows} == expected and len(COLUMNS) == 9
     assert [(r[0], r[1]) for r in rows] == list(expected)
@@ -272,7 +272,7 @@ def test_a_report_and_its_objects_have_25_lines_whatever_there_is(tmp_path, meth
         assert len(capsys.readouterr().out.splitlines()) > len(said)
     if methods == 40:  # a line for each method, with SR of each split
         text = report.brief(report.table_of(run))
-        assert md_tables(text)[0][0][1:3] == ["SR S0", "SR S1"] and "24 more methods" in text
+        assert md_tables(text)[0][0][2:4] == ["SR S0", "SR S1"] and "24 more methods" in text
 
 
 def test_only_objects_with_ten_trials_are_shown_the_hardest_first(tmp_path):

@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
+from r2h_batch.base.registry import NOT_SAID
 from r2h_batch.base.table import (
     NA,
     Column,
@@ -78,6 +79,7 @@ def render(
     notes: Sequence[str] = (),
     turns: Sequence[Turned] = (),
     shares: Shares | None = None,
+    reads: Mapping[str, str] | None = None,
 ) -> str:
     """The comparisons as text that ends in a newline.
 
@@ -88,20 +90,24 @@ def render(
         notes: what a reader should know about the runs; Markdown and LaTeX write them.
         turns: turn tests of the methods, under their names in the comparisons.
         shares: shares of their rows on these trials.
+        reads: method -> what it may read, a word of `READS`; empty where nobody says.
     """
-    shares = shares or {}
+    shares, reads = shares or {}, reads or {}
     if fmt == "md":
-        return _md(comparisons, notes, turns, shares)
+        return _md(comparisons, notes, turns, shares, reads)
     if fmt == "latex":
-        return _latex(comparisons, origin or {}, notes, turns, shares)
+        words = [f"reads: {n} {word or NOT_SAID}" for n, word in reads.items()]
+        return _latex(comparisons, origin or {}, [*notes, *words], turns, shares)
     if fmt == "csv":
-        return _all_pairs(comparisons, turns, shares).csv()
+        return _all_pairs(comparisons, turns, shares, reads).csv()
     if fmt == "json":
-        return json_text([_record(c, turns, shares) for c in comparisons])
+        return json_text([_record(c, turns, shares, reads) for c in comparisons])
     raise ValueError(f"unknown format {fmt!r}; allowed are {', '.join(FORMATS)}")
 
 
-def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str, Any]:
+def _record(
+    c: Comparison, turns: Sequence[Turned], shares: Shares, reads: Mapping[str, str]
+) -> dict[str, Any]:
     own = [test for test in turns if test.group == c.group]
     found = {**asdict(c), "rank": None if c.rank is None else c.rank.tolist()}
     known = {
@@ -109,6 +115,7 @@ def _record(c: Comparison, turns: Sequence[Turned], shares: Shares) -> dict[str,
         for method, rates in shares.items()
     }
     found |= {"shares": known} if any(known.values()) else {}
+    found |= {"reads": {n: reads[n] or NOT_SAID for n in c.names if n in reads}} if reads else {}
     return found | ({"turns": about(own)} if own else {})
 
 
@@ -155,7 +162,7 @@ def _columns(c: Comparison, shown: Mapping[str, str]) -> list[Column]:
     ]
 
 
-def _ranks(c: Comparison, shown: Mapping[str, str]) -> Table:
+def _ranks(c: Comparison, shown: Mapping[str, str], reads: Mapping[str, str]) -> Table:
     """How often each method has each rank, and its worst one."""
     chances = [[f"{100 * p:.0f} %" for p in row] for row in ([] if c.rank is None else c.rank)]
     ranks = dict(zip(c.ranked, chances, strict=True))
@@ -164,16 +171,23 @@ def _ranks(c: Comparison, shown: Mapping[str, str]) -> Table:
         ranks[name] = [*ranks[name], f"#{worst.rank}{without}"]
     bound = ["bound", *[""] * len(c.ranked)]
     lines = [
-        [shown[name], f"{rate:.1f}", *ranks.get(name, bound)]
+        [
+            shown[name],
+            *([reads[name] or NOT_SAID] if name in reads else []),
+            f"{rate:.1f}",
+            *ranks.get(name, bound),
+        ]
         for name, rate in zip(c.names, c.rates, strict=True)
     ]
-    return of_lines(["Method", "SR", *(f"#{i + 1}" for i in range(len(c.ranked))), "worst"], lines)
+    head = ["Method", *(["Reads"] if set(c.names) <= reads.keys() else []), "SR"]
+    return of_lines([*head, *(f"#{i + 1}" for i in range(len(c.ranked))), "worst"], lines)
 
 
 def brief(
     comparisons: Sequence[Comparison],
     notes: Sequence[str] = (),
     turns: Sequence[Turned] = (),
+    reads: Mapping[str, str] | None = None,
     more: str = "r2h-batch compare RUN --full",
 ) -> str:
     """The pairs over all trials, with the difference in each split, in `MOST_LINES` lines. `render` has the rest.
@@ -182,6 +196,7 @@ def brief(
         comparisons: what `compare` gives.
         notes: what a reader should know about the runs.
         turns: turn tests of the methods.
+        reads: method -> what it may read, a word of `READS`; empty where nobody says.
         more: the command that prints all of it.
     """
     *splits, whole = comparisons
@@ -193,6 +208,7 @@ def brief(
     pair, _, ends, _, _, _, p_new, verdict = _columns(whole, shown)[1:]
     columns = [
         *(_columns(whole, shown)[0], pair),
+        *([Column("reads", "Reads", lambda r: _both(r, reads or {}), left=True)] if reads else []),
         *(Column(s, f"A-B {s}", "{value:+.1f}") for s in of_split),
         *(Column("difference", f"A-B {whole.group}", "{value:+.1f}"), ends, p_new, verdict),
     ]
@@ -214,11 +230,18 @@ def brief(
     return document([Table(columns, records[:most], title=title), words])
 
 
+def _both(pair: Record, reads: Mapping[str, str]) -> str:
+    """What the methods of a pair may read: one word, or both."""
+    a, b = (reads.get(pair[side]) or NOT_SAID for side in "ab")
+    return a if a == b else f"{a} / {b}"
+
+
 def _md(
     comparisons: Sequence[Comparison],
     notes: Sequence[str],
     turns: Sequence[Turned],
     shares: Shares,
+    reads: Mapping[str, str],
 ) -> str:
     short = short_names([name for c in comparisons for name in c.names])
     parts: list[Table | str] = []
@@ -227,7 +250,7 @@ def _md(
         title = f"{c.group}: {c.n} trials, paired on the trial id"
         parts.append(Table(_columns(c, shown), [asdict(p) for p in c.pairs], title=title))
         if c.rank is not None:
-            parts.append(_ranks(c, shown))
+            parts.append(_ranks(c, shown, reads))
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
     words = notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)])
     return document([*parts, _shares(shares), words])
@@ -281,7 +304,12 @@ def _tex_p(p: float | None) -> str:
     return NA if p is None else "<0.001" if p < 0.001 else f"{p:.3f}"
 
 
-def _all_pairs(comparisons: Sequence[Comparison], turns: Sequence[Turned], shares: Shares) -> Table:
+def _all_pairs(
+    comparisons: Sequence[Comparison],
+    turns: Sequence[Turned],
+    shares: Shares,
+    reads: Mapping[str, str],
+) -> Table:
     """One row for each group and pair, with both rates and the share of draws in which each method
     is first; shares of rows where there are any; where there are turn tests, with the largest move of each
     method's rate."""
@@ -305,5 +333,9 @@ def _all_pairs(comparisons: Sequence[Comparison], turns: Sequence[Turned], share
                 for rate in [shares.get(method, {}).get((c.group, name))]
             }
             pair_fields = {"group": c.group, "n": c.n, **asdict(pair), "few": c.few}
+            said = {
+                f"reads_{s}": reads.get(m) or NOT_SAID for s, m in (("a", pair.a), ("b", pair.b))
+            }
+            pair_fields |= said if reads else {}
             records.append(pair_fields | rates | firsts | of_rows | moves)
     return Table((), records)

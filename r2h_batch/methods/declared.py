@@ -1,0 +1,30 @@
+"""`method`: what a function of yours says of itself."""
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from r2h_batch.base.registry import READS
+from r2h_batch.base.validate import one_of
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def method(*, reads: str) -> Callable[[Function], Function]:
+    """Declare what a method reads, for the column *Reads* of every table.
+
+    Without it a sweep goes by the function's arguments: `(seen)` reads cameras, one that takes `evaluator` the judge, one that
+    takes `noise` or `seen` estimates, any other one the scene.
+
+    Args:
+        reads: scene, estimates, cloud, cameras or judge (`base.registry.READS`).
+
+    Raises:
+        ValueError: another word.
+    """
+    word = one_of(*READS)("reads", reads)
+
+    def declare(function: Function) -> Function:
+        function.reads = word  # type: ignore[attr-defined]
+        return function
+
+    return declare
