@@ -803,7 +803,7 @@ def test_what_comes_to_the_hand_wrongly_is_not_received_where_the_benchmark_asks
     plain = load_benchmark("r2h-v2")
     config = EvalConfig(execute=ExecConfig(sim="none"))
     before = Evaluator(plain, config)
-    trials = plain.trials(60)
+    trials = plain.trials(120)
     asked = random_method.predict(trials, before.scene)
     scores = before.score(asked.T_obj_ee, asked.T_world_ee, trials)
     rows = torch.cat([torch.nonzero(scores.success & which)[:3, 0] for which in (scores.presented, ~scores.presented)])

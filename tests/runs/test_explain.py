@@ -5,6 +5,7 @@ import pytest
 from made_runs import write_run
 
 from r2h_batch.__main__ import main
+from r2h_batch.config import PRESENTED_M
 from r2h_batch.runs import load_run
 from r2h_batch.runs.explain import explained, headline, presented_words
 from r2h_batch.runs.files import RunError
@@ -33,9 +34,11 @@ def run(tmp_path_factory):
         (row("stability", -0.0071, width_m=0.0921), "92.1 mm of material between the pads", "2.0 to 85.0 mm of material"),
         (row("reach", -0.0342), "by 34.2 mm", "34.2 mm nearer to the ball's middle (radius 100 mm)"),
         (row("presented", -0.014, presented_margin_m=-0.014, presented_by="gripper", split="S0"),
-         "the gripper is 2.4 cm nearer to the palm than the object", "the object 14.0 mm nearer to the hand, or the gripper"),
+         f"the gripper is {100 * PRESENTED_M['S0'] + 1.4:.1f} cm nearer to the palm than the object",
+         "the object 14.0 mm nearer to the hand, or the gripper"),
         (row("presented", -0.03, presented_margin_m=-0.03, presented_by="sharp", split="S1"),
-         "a sharp part is 5.0 cm nearer to the palm than the receiver's part", "or a sharp part farther away"),
+         f"a sharp part is {100 * PRESENTED_M['S1'] + 3:.1f} cm nearer to the palm than the receiver's part",
+         "or a sharp part farther away"),
         (row("presented", -0.052, presented_margin_m=-0.052, presented_by="ball", split="S1"),
          "the receiver's part is 5.2 cm outside the ball", "the receiver's part 52.0 mm nearer to the hand"),
         (row("affordance", -0.0031, margin_kind_affordance="bound"), "by at least 3.1 mm", "at least 3.1 mm farther"),
@@ -64,10 +67,12 @@ def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stor
 
 def test_what_presented_is_about_is_said_of_every_row_and_the_limit_of_what_fails():
     told = {"split": "S1", "presented_by": "gripper"}
-    assert presented_words({**told, "presented_margin_m": 0.05}) == (
-        "the receiver's part is 1.5 cm nearer to the palm than the gripper"
+    assert presented_words({**told, "presented_margin_m": PRESENTED_M["S1"] + 0.03}) == (
+        "the receiver's part is 3.0 cm nearer to the palm than the gripper"
     )
-    assert presented_words({**told, "presented_margin_m": 0.01}).startswith("the gripper is 2.5 cm nearer")
+    assert presented_words({**told, "presented_margin_m": PRESENTED_M["S1"] - 0.01}).startswith(
+        "the gripper is 1.0 cm nearer"
+    )
     inside = {**told, "presented_by": "ball", "presented_margin_m": 0.08}
     assert presented_words(inside) == "the receiver's part is 8.0 cm inside the ball in front of the palm"
     assert presented_words({"split": "S1", "presented": True}) == ""  # a row of before

@@ -8,7 +8,7 @@ import torch
 from rounds import each
 
 from r2h_batch import Evaluator, load_benchmark
-from r2h_batch.config import EvalConfig, ExecConfig
+from r2h_batch.config import PRESENTED_M, EvalConfig, ExecConfig
 from r2h_batch.methods import random
 from r2h_batch.types import Nearer
 from r2h_batch.view.captions import as_markdown
@@ -68,7 +68,7 @@ def test_every_way_to_fail_is_seen_where_it_is(found):
 def drawing_words(by, row):
     who = {Nearer.GRIPPER: "the gripper", Nearer.SHARP: "a sharp part"}[by]
     wanted = "the receiver's part" if row["split"] == "S1" else "the object"
-    room = 0.02 if row["split"] == "S1" else 0.01
+    room = PRESENTED_M[row["split"]]
     return f"{who} is {100 * (room - row['margin_presented_m']):.1f} cm nearer to the palm than {wanted}"
 
 
