@@ -143,7 +143,9 @@ def tables_of(data: dict) -> dict[str, Any]:
             rate = v["rates"][m]["Avg"]["sr"]
             moved = "" if v is base else f" ({rate - base['rates'][m]['Avg']['sr']:+.1f})"
             cells.append(f"{rate:.1f}{moved}")
-        (lines if len(cells) == len(METHODS) else own_lines).append([v["name"], *cells, v["kept"]])
+        (lines if len(cells) == len(METHODS) else own_lines).append(
+            [v["name"].replace("protocol ", "benchmark "), *cells, v["kept"]]
+        )
     stable = sum(v["kept"] == 6 for v in variants_[1:])
     best = sum(v["order"][0] == base["order"][0] for v in variants_[1:])
     return {
@@ -154,18 +156,9 @@ def tables_of(data: dict) -> dict[str, Any]:
 
 
 def shown(_: Any) -> dict[str, Any]:
-    """What pages show of docs/results/sensitivity.json: tables, and rates.
-
-    VARIANT.METHOD.sr of both splits (.s0, .s1), with `_` for what is not a word.
-    """
+    """What pages show of docs/results/sensitivity.json."""
     data = json.loads(STORED.read_text())
-    found = tables_of(data) | {k: data[k] for k in ("trials", "commit")} | {"benchmark": data["benchmark"]["name"]}
-    for variant in data["variants"]:
-        for method, rates in variant["rates"].items():
-            name = re.sub(r"\W", "_", f"{variant['name']}.{method}").replace(f"_{method}", f".{method}")
-            found |= {f"{name}.{k.lower()}": rates[k]["sr"] for k in ("S0", "S1")}
-            found[f"{name}.sr"] = rates["Avg"]["sr"]
-    return found
+    return tables_of(data) | {k: data[k] for k in ("trials", "commit")} | {"benchmark": data["benchmark"]["name"]}
 
 
 def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequence[str] = ()) -> dict:

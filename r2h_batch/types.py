@@ -152,11 +152,11 @@ class Trials(_Rows):
     """N trials: which object is handed to which hand, and where that hand stands.
 
     Attributes:
-        trial_id: number of each trial in its protocol; 2 i in S0, 2 i + 1 in S1.
+        trial_id: number of each trial in its benchmark; 2 i in S0, 2 i + 1 in S1.
         object_index: row of `Scene.objects`.
         hand_index: row of the hand set, `Scene.hands`.
         T_world_hand: pose of the hand in the world, m.
-        receiver: the receiver's arm and torso where the protocol gives hands some (`scene.person.heads_of` follows): rows
+        receiver: the receiver's arm and torso where the benchmark gives hands some (`scene.person.heads_of` follows): rows
             (x, y, z, w) in the world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
             of the torso box; its half sizes along its facing, sideways and up. In the last two rows
             w is x and y of the unit vector that the torso faces. Verdicts depend on it with
