@@ -73,6 +73,11 @@ def _folder() -> str | None:
         return None  # it is gone, and nobody can go back to it
 
 
+def _to_folder(folder: str | None) -> None:
+    if folder:
+        os.chdir(folder)
+
+
 def _mask() -> int:
     found = os.umask(0o22)
     os.umask(found)
@@ -80,7 +85,7 @@ def _mask() -> int:
 
 
 _PYTHON = (
-    _Setting("working directory", _folder, lambda folder: folder and os.chdir(folder)),
+    _Setting("working directory", _folder, _to_folder),
     _Setting("file mode mask", _mask, os.umask),
     _Setting("sys.excepthook", lambda: sys.excepthook, lambda hook: setattr(sys, "excepthook", hook)),
     _Setting("sys.unraisablehook", lambda: sys.unraisablehook, lambda hook: setattr(sys, "unraisablehook", hook)),
@@ -172,7 +177,7 @@ class _Left(NamedTuple):
 
     settings: dict[tuple[str, int], Any]
     names: list[tuple[dict[str, Any], dict[str, Any]]]
-    filters: list[Any] | None
+    filters: Any  # a list, or None
     recursion: int | None
 
 
@@ -488,7 +493,11 @@ class stranger:
     def _put_back_imports(self) -> None:
         if not isinstance(sys.path, list):
             sys.path = []
-        for now, before in ((sys.path, self._path), (sys.meta_path, self._finders)):
+        lists: tuple[tuple[list[Any], list[Any]], ...] = (
+            (sys.path, self._path),
+            (sys.meta_path, self._finders),
+        )
+        for now, before in lists:
             if now != before:  # what it has added stays: it may import more when it is called
                 now += [place for place in before if place not in now]
         if len(sys.modules) < len(self._modules):
