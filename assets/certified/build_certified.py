@@ -4,7 +4,7 @@
 motion as planned (`methods.certify`). Answers that the file holds already are kept (`--anew`: they are not). `--processes` work
 side by side on parts of `--part` trials; the file is written after each part, and a run that was stopped goes on behind
 those that are done. `--again` judges the answers of the file, as after a change of the criteria, and searches once more where one
-fails: the same trials, as often drawn as before.
+fails: first the same trials, as often drawn as before, then anew.
 """
 
 import argparse
@@ -82,7 +82,9 @@ def certified_again(plain: Any, known: Certified) -> Certified:
     grasp, pose, solved = known.T_obj_ee.copy(), known.T_world_ee.copy(), known.solved.copy()
     grasp[rows], pose[rows], solved[rows] = found.T_obj_ee.numpy(), found.T_world_ee.numpy(), won
     print(f"of {len(ids)} answers {len(rows)} fail; another one is found for {won.sum()} of these", flush=True)
-    return replace(known, T_obj_ee=grasp, T_world_ee=pose, solved=solved)
+    known = replace(known, T_obj_ee=grasp, T_world_ee=pose, solved=solved)
+    left = known.trial_id[~solved]
+    return joined_certified(known, certify(plain, left)) if len(left) else known
 
 
 if __name__ == "__main__":

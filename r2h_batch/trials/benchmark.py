@@ -40,7 +40,13 @@ from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.person import MADE_OF
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.robot_file import DEFAULT_ROBOT, load_robot
-from r2h_batch.trials.certified import Answers, Certified, certified_of
+from r2h_batch.trials.certified import (
+    DRAWN_BEFORE,
+    Answers,
+    Certified,
+    certified_of,
+    load_certified,
+)
 from r2h_batch.trials.draw.rule import Given, Rule
 from r2h_batch.trials.trials_file import Labels, listed_with_ids
 from r2h_batch.types import Trials
@@ -167,29 +173,34 @@ class Benchmark:
         file said it."""
         return self._redrawn(self._digest)
 
+    def drawn_before(self) -> Self:
+        """The same with its trials as r2h_batch 0.3 drew them."""
+        name = DRAWN_BEFORE.get(self.protocol)
+        if name is None or self.own_certified is None:
+            return self
+        return replace(self, certified=load_certified(name))
+
     def digests_before(self, asks: Sequence[str]) -> dict[str, tuple[str, ...]]:
-        """The digests that earlier versions gave these trials -> what has changed since: `taken`, Received took the object
-        where a simulated closing had put it; `head`, the person had none.
+        """The digests that earlier versions gave the trials of `drawn_before` -> what has changed since: `taken`, Received took
+        the object where a simulated closing had put it; `head`, the person had none.
 
         Args:
             asks: what the benchmark asked for then; r2h_batch 0.3 knew a criterion more.
         """
         head = ("head",) if self.receiver == "body" else ()
-        found, then = {}, replace(self, head_clearance_m=0.0)
+        found, then = {}, replace(self.drawn_before(), head_clearance_m=0.0)
         if head:
-            before = then._digest_of(self._asks, person="")
-            found[self._redrawn(before, searched=False)] = head
+            found[then._redrawn(then._digest_of(self._asks, person=""))] = head
         if "received" in self.asks:
-            before = then._digest_of(f"asks {' '.join(asks)}\n", person="")
-            found[self._redrawn(before, searched=False)] = ("taken", *head)
+            words = f"asks {' '.join(asks)}\n"
+            found[then._redrawn(then._digest_of(words, person=""))] = ("taken", *head)
         return found
 
-    def _redrawn(self, digest: str, *, searched: bool = True) -> str:
-        """A digest of trials that are drawn once, with how often they were drawn again, and how the others are. `searched`:
-        False where these were drawn once."""
+    def _redrawn(self, digest: str) -> str:
+        """A digest of trials that are drawn once, with how often they were drawn again, and how the others are."""
         if (certified := self.own_certified) is None:
             return digest
-        others = f" others {certified.search}" if searched and certified.search else ""
+        others = f" others {certified.search}" if certified.search else ""
         return hashlib.sha256(f"{digest} redrawn {certified.digest}{others}".encode()).hexdigest()
 
     @cached_property

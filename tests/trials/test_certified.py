@@ -22,6 +22,8 @@ from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.trials.certified import Certified, joined_certified, load_certified, read_certified, save_certified
 from r2h_batch.trials.edit import in_frame
 
+DRAWN_AGAIN = [38, 93, 122, 153, 294, 336, 433, 502, 536, 550, 565, 678, 828, 892, 990]
+"""Trials that r2h_batch 0.3 drew less often: nothing solves them 10 cm from the head, mostly as the arm at home is nearer."""
 SEARCHED_AGAIN = [38, 289, 502, 719]
 """Some of the trials whose first answers failed Presented."""
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
@@ -53,11 +55,10 @@ def test_the_shipped_file_is_of_the_draft_and_knows_each_of_its_trials(draft):
 
 
 def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
-    draft = replace(draft, head_clearance_m=0.0)  # they were searched before it was 10 cm
     own, judge = draft.own_certified, Evaluator(draft, KINEMATIC)
     redrawn = np.flatnonzero((own.redraws > 0) & own.solved)
     met_the_head = np.flatnonzero(np.isin(own.trial_id, [18, 215, 433, 997]))  # what r2h_batch 0.3 shipped for these
-    gripper_first = np.flatnonzero(np.isin(own.trial_id, SEARCHED_AGAIN))
+    gripper_first = np.flatnonzero(np.isin(own.trial_id, [*SEARCHED_AGAIN, *DRAWN_AGAIN[:6]]))
     some = own.trial_id[
         np.unique([*redrawn[:6], *met_the_head, *gripper_first, *np.flatnonzero(own.solved)[[0, 1, 100, -1]]])
     ]
@@ -69,7 +70,7 @@ def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(draft):
 
 def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(draft):
     """At commit 7d23856b, whose draft asked for a criterion more, and whose trials beyond its file were drawn once."""
-    draft = replace(draft, certified=replace(draft.certified, search=""))
+    now, draft = draft, draft.drawn_before()
     ids = np.arange(1040, dtype=np.int64)
     redraws = hashlib.sha256(draft.redraws(ids).astype("<i8").tobytes()).hexdigest()
     assert redraws == "7abd2856ee8a901f32a70409fb7a7c517c6cb2f53aa31365d608eb3690b6c1b7"
@@ -80,8 +81,12 @@ def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(draft):
     }
     for n, digest in each(told.items()):
         assert trials_digest(draft.trials(n)) == digest
+    assert not draft.certificates(ids).known.any()  # answers of then are none today
+    known = now.own_certified.trial_id
+    other = now.redraws(known) != draft.redraws(known)
+    assert known[other].tolist() == DRAWN_AGAIN and (now.redraws(known) >= draft.redraws(known)).all()
     before = "717fc7d6f3accb16c9db94b0158a3e3fe3c0b21acc49d80bee480d64fdd861ca"  # of receivers without a head
-    assert replace(draft, asks=("pick",)).digests_before(()) == {before: ("head",)}
+    assert replace(now, asks=("pick",)).digests_before(()) == {before: ("head",)}
 
 
 def test_rows_of_0_3_are_of_the_same_trials_under_the_digest_that_they_had(draft):
