@@ -304,7 +304,8 @@ def tutorials_file(reader: Reader) -> None:
 
 def rules(reader: Reader) -> None:
     """my_rules.py, copied from the page that has it."""
-    (block,) = [p for p in pieces((ROOT / "docs" / "howto" / "method.md").read_text()) if "def predict(trials, scene, *," in p.text]
+    page = (ROOT / "docs" / "howto" / "method.md").read_text()
+    block = next(p for p in pieces(page) if "def predict" in p.text)
     (reader.folder / "my_rules.py").write_text(block.text)
     at = reader.folder / "path" / "to"
     at.mkdir(parents=True)
