@@ -124,12 +124,12 @@ def behind(s: Setting, h: Held) -> Tensor:
     return -100 * ((h.W - s.palm) @ s.normal).amax(1)
 
 
-AIMS = {
+AIMS = {  # gripper and blade: half a centimetre beyond what raters still take (bench/rating.py)
     "head": Aim("object or gripper in the head, depth", "cm", 0.0, in_head),
     "eye": Aim("object near an eye, distance", "cm", -5.0, lambda s, h: -100 * nearest(h.W, s.eyes)),
-    "blade": Aim("sharp part before the wanted part, by", "cm", 2.0, first(lambda s, h: h.W[:, s.sharp]), has_sharp),
+    "blade": Aim("sharp part before the wanted part, by", "cm", 4.0, first(lambda s, h: h.W[:, s.sharp]), has_sharp),
     "away": Aim("wanted part behind the rest of the object, by", "cm", 10.0, first(lambda s, h: h.W), has_region),
-    "gripper": Aim("gripper before the wanted part, by", "cm", 2.0, first(lambda s, h: h.G)),
+    "gripper": Aim("gripper before the wanted part, by", "cm", 8.0, first(lambda s, h: h.G)),
     "upside down": Aim("vessel's opening from up", "deg", 120.0, tilted, is_vessel),
     "behind": Aim("all of the object behind the palm's plane, by", "cm", 0.0, behind),
     "far": Aim("object away from the palm", "cm", 20.0, lambda s, h: 100 * nearest(h.W, s.palm)),
@@ -148,7 +148,7 @@ def setting(evaluator: Evaluator, trials: Trials, i: int) -> Setting:
     x, y = float(receiver[3, 3]), float(receiver[4, 3])
     axes = torch.tensor([[x, y, 0.0], [-y, x, 0.0]], dtype=torch.float64)
     sharp, wanted = (torch.from_numpy(of[model.point_face]) for of in (model.sharp_face, model.receiver_face))
-    up = None if model.up is None else torch.from_numpy(model.up).double()
+    up = None if model.up is None else torch.tensor(model.up, dtype=torch.float64)
     if model.split == "S0":
         wanted = torch.ones_like(wanted)
     if not wanted[pick].any():  # a small region: its own points too
