@@ -131,7 +131,7 @@ NOT_SAID = "not said"
 
 
 def _no_question(name: str, thing: Any) -> str:
-    fields = {"name": str, "version": int, "function": Callable, "schema": object}
+    fields: dict[str, Any] = {"name": str, "version": int, "function": Callable, "schema": object}
     right = all(isinstance(getattr(thing, field, None), kind) for field, kind in fields.items())
     return (
         ""

@@ -81,7 +81,7 @@ def load_function(spec: str, kind: str = "function") -> UserFunction:
                 )
             code.of = module.__name__
             # a module may have a function of its own that answers
-            function = getattr(module, name, _NOTHING)
+            function: Any = getattr(module, name, _NOTHING)
     except (ImportError, KeyboardInterrupt):
         raise
     except BaseException as error:  # SystemExit too: it would end the command without a word

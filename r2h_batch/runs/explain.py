@@ -260,10 +260,10 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
     if criterion == "plan" and (row.get("nearest_pair") or row.get("plan_pair")):
         near = row.get("nearest_pair")
         name = str(near or row["plan_pair"])
-        part = row.get("witness_plan_part")
+        link = row.get("witness_plan_part")
         words = PAIRS.get(name, name.replace("_", " and "))
         which = "" if near else ", of the first posture that was looked at"
-        return f"{words}{f' ({body_name(str(part))})' if part else ''}{which}"
+        return f"{words}{f' ({body_name(str(link))})' if link else ''}{which}"
     if criterion == "pick":
         return _pick_pair(row)
     if criterion == "received":

@@ -320,8 +320,8 @@ def make_jobs(setting: Setting, files: Files) -> list[Job]:
         rows = align(predictions, planned, source=path, allow_missing=sweep.allow_missing)
         if answers.frame and motions is None:
             some = torch.nonzero(rows >= 0)[:LOOKED_AT, 0]
-            if words := check_frame(answers, rows[some], setting.trials(planned[some]), path):
-                LOG.info(words)
+            if told := check_frame(answers, rows[some], setting.trials(planned[some]), path):
+                LOG.info(told)
         kind = "predictions" if motions is None else "motions"
         source = {"kind": kind, "file": path, "sha256": digest}
         source |= {"reads": answers.reads} if answers.reads else {}

@@ -188,7 +188,8 @@ class Benchmark:
             asks: what the benchmark asked for then; r2h_batch 0.3 knew a criterion more.
         """
         head = ("head",) if self.receiver == "body" else ()
-        found, then = {}, replace(self.drawn_before(), head_clearance_m=0.0)
+        found: dict[str, tuple[str, ...]] = {}
+        then = replace(self.drawn_before(), head_clearance_m=0.0)
         if head:
             found[then._redrawn(then._digest_of(self._asks, person=""))] = head
         if "received" in self.asks:

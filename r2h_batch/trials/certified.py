@@ -196,7 +196,9 @@ def _searched(benchmark: "Benchmark", trial_id: NDArray[np.int64]) -> Certified:
                 advance(len(part))
     for i, key in keys.items():
         kept[i] = kept.get(i) or cached(_KIND, key, partial(row, i), _FORM)
-    columns = {name: np.concatenate([kept[i][name] for i in keys]) for name in _FORM}
+    columns: dict[str, Any] = {
+        name: np.concatenate([kept[i][name] for i in keys]) for name in _FORM
+    }
     return Certified(trial_id, **columns, benchmark=own.benchmark)
 
 

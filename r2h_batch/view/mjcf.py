@@ -506,9 +506,8 @@ def _add_receiver(
     for (limb, a, b), radius in zip(limbs, receiver[:2, 3], strict=True):
         size = [radius + stored.room_m, 0, 0]
         body.add_geom(name=f"receiver/{limb}", type=_CAPSULE, fromto=[*a, *b], size=size, **how)
-    quat = quat_wxyz(turn)
-    size = half + stored.room_m
-    body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=size, **how)
+    quat, box = quat_wxyz(turn), half + stored.room_m
+    body.add_geom(name="receiver/torso", type=_BOX, pos=middle, quat=quat, size=box, **how)
     low, high = heads_of(torch.from_numpy(receiver[None]).float())[0].double().numpy()
     size = [low[3] + stored.room_m + stored.head_clearance_m, 0, 0]  # the skin shows the true head
     body.add_geom(

@@ -137,9 +137,9 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
             ]
             gaps.append(float(convex_distance(*pair)[1][0]))
         gaps += [apart([kind], [size], T_arm[None], [h]) for h in hulls]
-    held = np.asarray(scene.objects[here].vertices, np.float64) @ T_world_obj[:3, :3].T + T_world_obj[:3, 3]
+    points = np.asarray(scene.objects[here].vertices, np.float64) @ T_world_obj[:3, :3].T + T_world_obj[:3, 3]
     kind, size, T_head = arm[-1]
-    gaps.append(apart([kind], [size], T_head[None], [held]))
+    gaps.append(apart([kind], [size], T_head[None], [points]))
     # where cores without a radius meet, their distance is 0 up to rounding
     yield Finding("body to robot, and head to object, m", 0.0, min(gaps), "fact", wrong=min(gaps) < 1e-9)
 
