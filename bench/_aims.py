@@ -5,7 +5,6 @@ Distances of points in float64, made here: nothing of the verdict is asked but h
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import torch
@@ -14,7 +13,7 @@ from torch import Tensor
 from r2h_batch import Evaluator
 from r2h_batch.base import se3
 from r2h_batch.scene.person import eyes_of, heads_of
-from r2h_batch.scene.robot import gripper_primitives_at
+from r2h_batch.scene.robot import Robot, ShapeKind, gripper_primitives_at
 from r2h_batch.types import Trials
 
 POINTS, GRIPPER_GAP_M = 512, 0.05
@@ -160,13 +159,18 @@ def setting(evaluator: Evaluator, trials: Trials, i: int) -> Setting:
     )  # fmt: skip
 
 
-def gripper_points(robot: Any) -> Tensor:
-    """Points of the gripper (G, 3) at a middling opening, frame ee: middles and extents of its shapes along their axes."""
+def gripper_points(robot: Robot) -> Tensor:
+    """Points of the gripper (G, 3) at a middling opening, frame ee: middles of its shapes, and their ends along their axes."""
     T = gripper_primitives_at(robot, GRIPPER_GAP_M)
     points = []
-    for frame, size in zip(T, robot.gripper.size, strict=True):
-        reach = np.diag(np.where(np.asarray(size) > 0, size, np.max(size)))
-        points += [frame[:3, 3], *(frame[:3, 3] + s * reach[k] @ frame[:3, :3].T for k in range(3) for s in (-1, 1))]
+    for frame, kind, size in zip(T, robot.gripper.kind, robot.gripper.size, strict=True):
+        half = {
+            ShapeKind.SPHERE: (size[0], size[0], size[0]),
+            ShapeKind.CAPSULE: (size[0], size[0], size[1] + size[0]),
+            ShapeKind.CYLINDER: (size[0], size[0], size[1]),
+        }.get(ShapeKind(int(kind)), tuple(size))
+        ends = [sign * x * frame[:3, k] for k, x in enumerate(half) for sign in (-1, 1)]
+        points += [frame[:3, 3], *(frame[:3, 3] + end for end in ends)]
     return torch.from_numpy(np.array(points))
 
 
