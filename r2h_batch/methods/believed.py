@@ -307,7 +307,7 @@ def known_before(benchmark: Benchmark) -> tuple[Benchmark, HandSet]:
     What people can take (Received) is not asked: hands that take an object cost half a minute of search each.
     """
     own = replace(
-        benchmark, name="believed", receiver="hand", people=None, listed=None, labels=None, seed="",
+        benchmark, name="believed", receiver="hand", head_clearance_m=0.0, people=None, listed=None, labels=None, seed="",
         asks=tuple(name for name in benchmark.asks if name == "pick"), certified=None,
     )  # fmt: skip
     return own, _middle_hands(benchmark.hand_set)

@@ -90,7 +90,7 @@ def test_one_pose_alone_has_the_gradient_that_it_has_beside_the_other(batch):
 
 def test_the_person_is_part_of_a_gradient():
     evaluator, batch = asked("r2h-v2")
-    of_hand = Evaluator(replace(evaluator.benchmark, receiver="hand"), AS_PLANNED)
+    of_hand = Evaluator(replace(evaluator.benchmark, receiver="hand", head_clearance_m=0.0), AS_PLANNED)
     scores, slopes = gradients(evaluator, batch)
     assert evaluator.benchmark.receiver == "body"
     trials = of_hand.benchmark.trials_with_ids(batch.trials.trial_id)
