@@ -37,8 +37,8 @@ MOST_HEAD_CLEARANCE_M = 0.5
 """Bound of `Benchmark.head_clearance_m`."""
 
 PRESENTED_M = {"S0": 0.075, "S1": 0.035}
-"""Presented: gripper and sharp parts may be nearer to the palm than the wanted part by this. [choice] of three raters: the
-smallest value that agrees with most of their pictures (bench/rating.py)."""
+"""Presented: gripper and sharp parts may be nearer to the palm than the wanted part by this. [choice] of three raters
+(vision models): the smallest value that agrees with most of their pictures (bench/rating.py)."""
 
 UPRIGHT_DEG = 60.0
 """A vessel is upright where its opening is within this angle of the world's up [choice]."""

@@ -14,7 +14,8 @@ from r2h_batch.trials.registry import BENCHMARK, named_benchmark
 from r2h_batch.verdicts import ASKED_NAMES
 
 HEAD_CLEARANCE_M = 0.10
-"""What robot and object keep from the head [choice by eyes]: of 40 pictures three raters accepted none that came nearer."""
+"""What robot and object keep from the head [choice by eyes]: of 40 pictures three raters (vision models) accepted none that
+came nearer."""
 
 
 @BENCHMARK("r2h-v3-draft")
