@@ -34,6 +34,7 @@ EARLIER = frozenset(
         *("closed_loop", "families", "judge_again", "learn", "people", "robots", "robustness"),
         *("sees", "r2h_v3"),
         *("growth", "long", "meshes"),
+        *("closed_loop_growth", "collision", "execute", "plan", "reception", "throughput"),
         *("observe_export", "registry_arms"),
     }
 )
