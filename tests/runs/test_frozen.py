@@ -55,6 +55,9 @@ def test_tables_pages_and_reasons_are_printed(run, tmp_path, capsys):
     ):
         code, said = main(line), capsys.readouterr()
         expected = UNFINISHED.get(run.name, 0) if line[0] == "report" else 0
+        if "baselines" in line:  # their receivers have heads, those of this run none
+            assert code == 2 and len(said.err.splitlines()) == 1 and "head" in said.err
+            continue
         assert code == expected, f"{' '.join(line)}: {said.err}"
         assert said.out or page.exists()
 
@@ -73,7 +76,7 @@ def test_what_was_called_presented_is_told_apart_and_never_mixed(tmp_path, capsy
     assert {(r["split"], r["method"]): r["presented"] for r in then} == {
         k: None if rate is None else rate.percent for k, rate in mine.items()
     }
-    assert main(["report", str(FROZEN / "static")]) == 0
+    assert main(["report", str(FROZEN / "static"), "--full"]) == 0
     said = capsys.readouterr().out
     assert "| Presented, before 0.4 |" in said and "| Presented |" not in said
 

@@ -357,8 +357,9 @@ class _Stream:
         self.is_built_in = function.startswith("r2h_batch.methods.")
         self.is_bound = function in BOUNDS
         # a built-in method is the same method in each release; its verdicts tell whether it answers
-        # the same
-        source = {k: v for k, v in entry.source.items() if k != "sha256" or not self.is_built_in}
+        # the same. What it reads decides no row, and 0.3 did not say it
+        says_nothing = {"reads", "sha256"} if self.is_built_in else {"reads"}
+        source = {k: v for k, v in entry.source.items() if k not in says_nothing}
         self.source = (method, source, header["seed"], header.get("predictors"), run.robot)
         """Identity of what answered: two methods with one source give the same rows for the same
         trials."""
