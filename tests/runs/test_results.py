@@ -272,7 +272,7 @@ def test_a_folder_of_before_with_a_quarantine_opens_and_its_shard_is_scored(tmp_
     (run / ".claims").mkdir(exist_ok=True)
     (run / ".claims" / "m-000001").write_text("...process 7 on host")
     assert load_run(run).unfinished == ("m",)
-    main(["report", str(run)])
+    main(["report", str(run), "--full"])
     assert "| n " in capsys.readouterr().out and main(["results", "verify", str(run)]) == 0
     again = open_run(run, load_run(run).header)
     again.register("m", load_run(run).entry("m").source)

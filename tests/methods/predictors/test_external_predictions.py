@@ -170,9 +170,13 @@ def test_a_sweep_says_whose_predictions_its_methods_saw(scene, tmp_path, capsys)
     ]
     line.append(str(tmp_path / "text2hoi.npz"))
     assert main([*line, "--out", str(tmp_path / "run")]) == 0
-    assert "FC-Handover (hand: text2hoi, target hand: oracle + noise)" in capsys.readouterr().out.replace("\n", " ")
+    name = "FC-Handover (hand: text2hoi, target hand: oracle + noise)"
+    said = capsys.readouterr()
+    assert f"{name}: 4 trials" in said.err and "|FC-Handover|estimates|" in said.out  # a short name in the short table
+    assert main(["report", str(tmp_path / "run"), "--full"]) == 0
+    assert f"FC-Handover: {name}" in " ".join(capsys.readouterr().out.split())
     run = load_run(tmp_path / "run")
-    assert run.methods == ("FC-Handover (hand: text2hoi, target hand: oracle + noise)",)
+    assert run.methods == (name,)
     assert len(run.header["predictors"]["predicted_hands"]["sha256"]) == 64
     assert main([*line, "--trials", "3", "--out", str(tmp_path / "more")]) == 2
     assert "2 planned trials are missing: 4, 5" in capsys.readouterr().err

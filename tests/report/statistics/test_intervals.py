@@ -197,7 +197,7 @@ def test_a_reader_chooses_how_many_new_categories(tmp_path, capsys):
         pair = json.loads(capsys.readouterr().out)[0]
         assert pair["few"] == few and pair["pairs"][0]["few_low"] < pair["pairs"][0]["low"]
     assert widths[0] > widths[1]
-    assert command("report", tmp_path / "a") == 0 and "SR of 6 new" in capsys.readouterr().out
+    assert command("report", tmp_path / "a", full=True) == 0 and "SR of 6 new" in capsys.readouterr().out
     assert command("report", tmp_path / "a", format="html", out=tmp_path / "page.html", categories=3) == 0
     assert "SR, of 3 new" in (tmp_path / "page.html").read_text()
     capsys.readouterr()

@@ -20,16 +20,7 @@ from r2h_batch.view.export.release import release_names, write_release_results
 def written(run, tmp_path_factory):
     """A trial of each split in the release's form."""
     folder = tmp_path_factory.mktemp("release")
-    line = [
-        "--benchmark",
-        "r2h-v1",
-        "--method",
-        "oracle",
-        "--trials",
-        "1",
-        "--out",
-        str(folder / "files"),
-    ]
+    line = ["--method", "oracle", "--trials", "1", "--out", str(folder / "files")]
     assert main(["export", "release", str(run), *line]) == 0
     return folder
 
@@ -187,16 +178,7 @@ def by_the_paper(row) -> str:
 
 def test_results_are_in_the_releases_schema_and_read_back_as_a_run_of_their_verdicts(run, written, tmp_path, capsys):
     for method in ("oracle", "random"):
-        line = [
-            "--benchmark",
-            "r2h-v1",
-            "--method",
-            method,
-            "--trials",
-            "1",
-            "--out",
-            str(tmp_path / method),
-        ]
+        line = ["--method", method, "--trials", "1", "--out", str(tmp_path / method)]
         assert main(["export", "release", str(run), *line]) == 0
     both = [r for m in ("oracle", "random") for r in json.loads((tmp_path / m / "results.json").read_text())]
     assert len(both) == 8 and len({r["trial_id"] for r in both}) == 8
