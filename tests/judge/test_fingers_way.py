@@ -127,9 +127,9 @@ def test_the_clearance_on_the_way_in_is_the_least_of_four_hundred_places_on_it()
     s, (grasp, objects) = scene(), stored_grasps()
     # whose palm or fingers enter the object, and that pass it sideways
     for along, across in ((0.03, 0.01), (0.07, 0.075)):
-        moved = grasp[:24].clone()
+        moved = grasp[:36].clone()
         moved[:, :3, 3] += along * moved[:, :3, 2] + across * moved[:, :3, 1]
-        grasp, objects = torch.cat([grasp, moved]), torch.cat([objects, objects[:24]])
+        grasp, objects = torch.cat([grasp, moved]), torch.cat([objects, objects[:36]])
     n, tables = len(grasp), s.grasp_tables
     options = {"way_m": WAY_M, "tolerance_m": TOLERANCE_M, "share": SHARE}
     cap = torch.full((n,), 0.01)

@@ -24,7 +24,7 @@ from r2h_batch.judge.reach import reached
 from r2h_batch.judge.scores import verdict
 from r2h_batch.scene.robot import gripper_primitives_at
 from r2h_batch.types import CRITERIA, MarginKind, PlanReason, Scores
-from r2h_batch.verdicts import REGISTRY, SPLITS, CriterionEntry
+from r2h_batch.verdicts import CRITERION, REGISTRY, SPLITS, CriterionEntry
 
 STABILITY, PLAN, REACH, AFFORDANCE, SAFE = range(5)
 N = 256
@@ -310,7 +310,9 @@ def test_a_criterion_of_some_objects_is_evaluated_where_it_is_and_the_object_is_
     every = CriterionEntry("every", "f_every", "F_every", 5, "#666666", SPLITS, True, function="a_rule:rule")
     cups = every._replace(name="cups", applies=lambda o: o == "cup")
     monkeypatch.setattr(metrics, "criteria_of", lambda asks: (every, cups))
+    for entry in (every, cups):
+        monkeypatch.setitem(CRITERION._things, entry.name, entry)
     scene = SimpleNamespace(objects=("cup", "hammer"), benchmark=SimpleNamespace(asks=()))
-    held = SimpleNamespace(objects=torch.tensor([0, 1, 0, 1], dtype=torch.int32))
+    held = SimpleNamespace(objects=torch.tensor([0, 1, 0, 1], dtype=torch.int32), active=evaluated)
     found = metrics.judge(SimpleNamespace(scene=scene, held=held))
     assert [x.evaluated.tolist() for x in found] == [evaluated.tolist(), [True, False, False, False]]
