@@ -1,5 +1,6 @@
 """Draft r2h-v3: r2h-v2 with Pick. What Pick adds, what it leaves as it is, and the same bits however trials are asked."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -26,7 +27,7 @@ from r2h_batch.observe import moments
 from r2h_batch.observe.known import KnownMoments
 from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.runs.explain import PICKS, RECEIVES, headline
+from r2h_batch.runs.explain import MET, PICKS, RECEIVES, body_name, headline
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.command import main as sweep
@@ -501,7 +502,11 @@ def test_tables_and_words_show_pick(folder):
     assert "F_pick" in render_points(points, run.methods)
     rows = [r for m in run.methods for r in run.trials(m).to_pylist() if r["outcome"] == "pick"]
     for row in each(rows):
-        assert headline(row).startswith(f"pick fails: {PICKS[row['pick_reason']]}")
+        why, pair = PICKS[row["pick_reason"]], row["pick_pair"]
+        if "something" in why and pair is not None:  # what is met is named in its place
+            why = why.replace("something", MET[pair])
+        assert headline(row).startswith(f"pick fails: {why}")
     met = next(r for r in rows if r["pick_pair"] == CollidingPair.TABLE.name.lower())
-    assert "robot and table" in headline(met)
+    assert "meets the table" in headline(met) or "the table is in the way" in headline(met)
+    assert "something" not in headline(met) and re.search(rf"\({body_name(met['pick_part'])}\), by ", headline(met))
     assert set(PICKS) == {r.name.lower() for r in PickReason} - {"ok", "not_evaluated"}

@@ -1,6 +1,7 @@
 """Postures at a target that no path leads to: headline, picture and margin speak about one posture and one pair."""
 
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 
 import mujoco
@@ -112,7 +113,7 @@ def test_headline_picture_and_caption_name_the_pair_that_the_stored_margin_is_ab
         witness, margin_m = drawing.witness, stored.row["margin_plan_m"]
         assert abs(asked.clearance_m - margin_m) < 1e-6 and margin_m < 0, trial
         assert witness.kind == asked.nearest.kind, trial
-        assert PAIRS[witness.kind] in verdict_of(stored) and witness.caption in as_html(drawing)
+        assert PAIRS[witness.kind] in verdict_of(stored) and escape(witness.caption) in as_html(drawing)
         assert [m.text for m in drawing.marks if m.text] == [witness.caption]
         # the drawn arm is at the target, and its red pair overlaps at least as deep as the margin says
         data = drawing.at(stored.target_q)

@@ -42,7 +42,7 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
         file.write_text(f"trial {stored.row['trial_id']}")
         return file
 
-    asked = SimpleNamespace(nearest=SimpleNamespace(kind="object_hand"))
+    asked = SimpleNamespace(nearest=SimpleNamespace(kind="object_hand", part="object", other="hand"))
 
     class Reader:
         def __init__(self, folder, code):
@@ -51,7 +51,8 @@ def test_pictures_of_a_report_open_the_pages_of_their_trials(run, tmp_path, caps
 
         def trial(self, trial, method):
             rows = self.run.trials(method).to_pylist()
-            return SimpleNamespace(row=next(r for r in rows if r["trial_id"] == trial), asked=asked)
+            row = next(r for r in rows if r["trial_id"] == trial)
+            return SimpleNamespace(row=row, asked=asked, head_clearance_m=0.0)
 
     monkeypatch.setattr("r2h_batch.view.stored.Reader", Reader)
     monkeypatch.setattr("r2h_batch.scene.offscreen.ready", lambda: "none")
