@@ -156,8 +156,8 @@ class Trials(_Rows):
         object_index: row of `Scene.objects`.
         hand_index: row of the hand set, `Scene.hands`.
         T_world_hand: pose of the hand in the world, m.
-        receiver: the receiver's arm and torso where the benchmark gives hands some (`scene.person.heads_of` follows): rows
-            (x, y, z, w) in the world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
+        receiver: the receiver's arm and torso where the benchmark gives hands some (the head: `r2h_batch.scene.person.heads_of`):
+            rows (x, y, z, w) in the world, m. Shoulder with the upper arm's radius w; elbow with the forearm's; wrist; middle
             of the torso box; its half sizes along its facing, sideways and up. In the last two rows
             w is x and y of the unit vector that the torso faces. Verdicts depend on it with
             `EvalConfig.receiver = "body"` alone.

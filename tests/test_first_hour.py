@@ -267,6 +267,8 @@ def test_the_names_of_the_page_of_fields_are_there():
     given = {"scene": scene, "trials": benchmark.trials(1), "i": 0}
     missing = {name for name in named if eval(name, given) is None}  # AttributeError: no such field
     optional = {"grasps", "roles", "words", "repair", "receiver_boxes", "category", "turn"}  # of a user's objects
+    assert any(o.up is not None for o in scene.objects)
+    optional |= {"up"}  # of open vessels
     assert missing <= {f"scene.objects[i].{k}" for k in optional} | {
         f"scene.hands.set.{k}" for k in ("skin", "in_body")
     }, missing

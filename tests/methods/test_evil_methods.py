@@ -1,6 +1,7 @@
 """Methods that change the process that judges them: one sweep of all of them, and an honest one behind."""
 
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from fake_bench import set_up as set_up_fake
 from rounds import each
 from sweep_command import PLAIN, in_process
 
+from r2h_batch.__main__ import main
+from r2h_batch.report.text import short_names
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep import jobs
 
@@ -89,7 +92,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")  # theirs, which called os._exit
-def test_methods_that_change_the_process_cost_neither_rows_nor_the_table(folder):
+def test_methods_that_change_the_process_cost_neither_rows_nor_the_table(folder, capsys):
     names = []
     for name, does in FINE.items():
         (folder / f"evil_in_{name}.py").write_text(
@@ -118,9 +121,14 @@ def test_methods_that_change_the_process_cost_neither_rows_nor_the_table(folder)
         assert words in line, line
     run = load_run(folder / "run")
     of_best = run.trials("fake_bench:best").select(["trial_id", "outcome"])
+    shown = [*short_names(run.methods).values()]  # the sweep's own table has a line for each of the first 16
+    assert all(re.search(rf"^{re.escape(name)} *\|", done.stdout, re.MULTILINE) for name in shown[:16]), done.stdout
+    assert f"{len(shown) - 16} more methods, " in done.stdout
+    assert main(["report", str(folder / "run"), "--format", "csv"]) == 1  # some are not scored
+    full = capsys.readouterr().out
     for name in each(names[: 2 * len(FINE)]):
         assert run.trials(name).select(["trial_id", "outcome"]).equals(of_best), name
-        assert name in done.stdout
+        assert name in full
     told = {line.partition(" closes ")[0].rpartition("/")[2] for line in lines if "descriptors" in line}
     assert told == {"evil_at_closes.py:f", "evil_in_closes"}
 

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from made_runs import NAMES, made_trials, make_header, make_scores
 
+from r2h_batch.config import HOME_Q
 from r2h_batch.sweep.jobs import Setting
 from r2h_batch.sweep.request import Sweep
 from r2h_batch.types import Outcome
@@ -30,7 +31,7 @@ class FakeEvaluator:
         objects = [SimpleNamespace(name=n, split=s) for n, s in zip(NAMES.objects, NAMES.object_splits)]
         sides = torch.tensor([("right", "left").index(s) for s in NAMES.hand_sides])
         hands = SimpleNamespace(set=SimpleNamespace(side=sides, digest="h"))
-        robot = SimpleNamespace(joints=range(6))
+        robot = SimpleNamespace(joints=range(6), home_q=HOME_Q)
         self.scene = SimpleNamespace(device="cpu", objects=objects, hands=hands, part_names=NAMES.parts, robot=robot)
 
     def hint(self, scores, T_obj_ee, T_world_ee, trials):

@@ -86,7 +86,7 @@ def run(methods, tmp_path_factory):
     out = tmp_path_factory.mktemp("runs") / "seen"
     done = swept(methods, out)
     assert done.returncode == 0, done.stderr
-    assert "| S0 " in done.stdout and "grab" in done.stdout
+    assert "\nS0   |" in done.stdout and "grab" in done.stdout
     return load_run(out)
 
 

@@ -29,7 +29,7 @@ def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
     ]
     done = in_process(*line)
     assert done.returncode == 0, done.stderr
-    assert done.stdout.isascii() and done.stdout.startswith("| Split | Method |    SR |")
+    assert done.stdout.isascii() and done.stdout.startswith("Split|Method|Reads|   SR|")
     assert done.stderr.splitlines()[-1] == f"run folder: {tmp_path / 'run'}"
     run = load_run(tmp_path / "run")
     assert run.methods == ("random", "oracle")
