@@ -147,9 +147,11 @@ def _length(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
-@lru_cache(maxsize=128)
+@lru_cache(maxsize=512)
 def _of_hull(what: Callable[[NDArray[np.float64]], Any], points: bytes) -> Any:
-    """A table of a hull (its float32 points): objects are the same in every scene."""
+    """A table of a hull (its float32 points): objects are the same in every scene. A scene of the built-in objects asks for 288:
+    with fewer kept, none is found again.
+    """
     return what(np.frombuffer(points, np.float32).reshape(-1, 3).astype(np.float64))
 
 

@@ -7,8 +7,10 @@ import pytest
 from rounds import each
 from scipy.spatial import ConvexHull
 
+from r2h_batch import load_benchmark
 from r2h_batch.scene import bounds
 from r2h_batch.scene.objects import BUILT_IN_NAMES, INSTANCE_NAMES, load_objects
+from r2h_batch.scene.scene import Scene
 
 
 @pytest.mark.check
@@ -69,3 +71,15 @@ def test_shipped_objects_need_no_linear_program(monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setattr(bounds, "inner_ball", lambda points: pytest.fail("an inner ball is not stored"))
     for model in each(load_objects((*BUILT_IN_NAMES, *INSTANCE_NAMES))):
         assert np.isfinite(bounds.ball_inside(model.hull_vertices.astype(np.float64))).all()
+
+
+def test_a_second_scene_of_the_built_in_objects_makes_no_table_of_their_hulls_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    made: list[int] = []
+    blocks = bounds.point_blocks
+    benchmark = load_benchmark()
+    assert Scene(benchmark).world is not None
+    monkeypatch.setattr(bounds, "point_blocks", lambda *a: made.append(1) or blocks(*a))
+    assert Scene(benchmark).world is not None
+    assert len(made) < len(benchmark.objects) / 2  # those of the hands and of the arm
