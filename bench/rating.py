@@ -160,6 +160,8 @@ def headed(image: Image, words: str, names: Sequence[str]) -> Image:
 RATINGS = Path(__file__).with_name("ratings.csv")
 LIMITS_CM = {"S0": (0, 1, 2, 3, 5, 7, 7.5, 8, 9), "S1": (0, 1, 2, 3, 3.5, 4, 5, 7), "head": (0, 5, 7.5, 10, 12.5, 15)}
 """Limits that are compared with the majority: t of each split; the clearance from the head."""
+SHOWN_CM = {"S0": (1, 7, 7.5, 8), "S1": (1, 3, 3.5, 4), "head": (5, 7.5, 10, 12.5)}
+"""Those of the page: the one that was chosen, its neighbours, and a smaller one. The JSON has all."""
 
 
 def ratings() -> dict[str, list[dict[str, str]]]:
@@ -227,9 +229,9 @@ BENCH = Bench(__doc__, measured, ("bench/rating.py", "bench/ratings.csv"))
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, str]:
-    """How far raters agree, and for each kind of picture a line for each limit."""
+    """How far raters agree, and for each kind of picture a line for some limits."""
     values, lines, agreed = data["values"], [], []
-    for kind, limits in LIMITS_CM.items():
+    for kind, limits in SHOWN_CM.items():
         own = f"rating.{kind}"
         n = values[f"{own}.pictures"]
         pairs = [100 * values[f"{own}.raters_{a}_{b}_agree"] for a, b in combinations((1, 2, 3), 2)]
