@@ -49,6 +49,11 @@ LISTED, FOREIGN = "listed", "r2handoversim"
 """In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
 
 
+def benchmark_in_words(name: str) -> str:
+    """A benchmark's name as text says it."""
+    return {LISTED: "trials of a file", FOREIGN: "the release's own verdicts"}.get(name, name)
+
+
 def is_drawn(header: Mapping[str, Any]) -> bool:
     """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
     told = {"objects", "hand_set"} <= header["digests"].keys() or header[

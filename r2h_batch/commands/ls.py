@@ -141,12 +141,14 @@ def _yaml() -> int:
 
 def _benchmark(name: str) -> int:
     """Reads a benchmark and all files that it names, and says what it holds."""
-    from r2h_batch.base.registry import DEFAULT_BENCHMARK
+    from r2h_batch.base.registry import DEFAULT_BENCHMARK, benchmark_in_words
     from r2h_batch.trials.load import load_benchmark
 
     found = load_benchmark(name or DEFAULT_BENCHMARK)
     same = " (the default benchmark)" if found.digest == load_benchmark().digest else ""
-    print(f"{name or found.name}: protocol {found.protocol}, digest {found.digest}{same}")
+    shown = name or found.name
+    rule = "" if shown == found.protocol else f"{benchmark_in_words(found.protocol)}, "
+    print(f"{shown}: {rule}digest {found.digest}{same}")
     for split in ("S0", "S1"):
         names = ", ".join(o.name for o in found.objects if o.split == split)
         print(f"{split}: {names or 'no object'}")

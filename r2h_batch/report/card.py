@@ -15,7 +15,7 @@ TABLE, RESULTS, CARD = "table.md", "results.json", "README.md"
 _BODY = """
 # {title}
 
-Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, protocol {protocol}: {trials}.
+Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, benchmark {protocol}: {trials}.
 
 {table}
 

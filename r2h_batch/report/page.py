@@ -33,7 +33,7 @@ from r2h_batch.report.table import (
     share_columns,
     table_of,
 )
-from r2h_batch.report.text import short_names
+from r2h_batch.report.text import in_words, short_names
 from r2h_batch.report.turn import Turned
 from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import Run
@@ -101,7 +101,7 @@ def page(
     environment = jinja2.Environment(loader=loader, autoescape=True, undefined=strict)
     return environment.get_template("page.html").render(
         title=", ".join(r.folder.resolve().name for r in runs),
-        origin=table.origin,
+        origin=in_words(table.origin),
         short=short,
         overview=_overview(table, compared, short).html(
             name="overview", sortable=True, least=LEAST_TRIALS

@@ -51,6 +51,7 @@ from r2h_batch.report.text import (
     MOST_LINES,
     NOTE_LINES,
     few_notes,
+    in_words,
     legend,
     rate_fields,
     short_digests,
@@ -127,7 +128,7 @@ class Report:
 
     Attributes:
         rows: lines of the table in order.
-        origin: where the rows come from: protocol, digest, preset, device, ...
+        origin: where the rows come from: benchmark (`protocol`), digest, preset, device, ...
         alike: whether all methods were asked the trials of one plan and judged the same.
         misses: what the inverse kinematics of each robot without a closed form misses, and which
             motions of a file are not judged, a sentence each.
@@ -354,7 +355,7 @@ def _misses(header: Mapping[str, Any]) -> str:
 
 
 BY_DEFAULT = {
-    "benchmark": "the protocol's own",
+    "benchmark": "none",
     "paths planned against": "the true hand",
     "grasp candidates": "filtered",
     "execution error": "none",
@@ -681,7 +682,7 @@ def _asked(report: Report) -> str:
     kept = {k: _without_digests(v) for k, v in report.origin.items() if k not in DETAILS}
     if kept.get("benchmark") == f"--benchmark {kept.get('protocol')}":
         del kept["benchmark"]
-    return "; ".join(f"{k}: {v}" for k, v in kept.items())
+    return "; ".join(f"{k}: {v}" for k, v in in_words(kept).items())
 
 
 def _without_digests(text: str) -> str:
@@ -724,7 +725,9 @@ def _md(report: Report) -> str:
         own = [Column(name, share.heading, PERCENT), Column(name, "95 %", INTERVAL)]
         known = [r for r in records if r.get(name) is not None]
         tables.append(Table([*first, *own, Column(f"{name}_of", "of")], known, title=share.caption))
-    origin = "  \n".join(f"{k}: {short_digests(value)}" for k, value in report.origin.items())
+    origin = "  \n".join(
+        f"{k}: {short_digests(value)}" for k, value in in_words(report.origin).items()
+    )
     notes = (
         plain(n) if n in (*report.trained, *report.unjudged) else n for n in report.notes
     )  # a method's own words are a stranger's
@@ -776,7 +779,7 @@ def _latex(report: Report, columns: int, *, intervals: bool, times: bool) -> str
         )
         for k, share in report.shares.items()
     ]
-    origin = "; ".join(f"{key}: {value}" for key, value in report.origin.items())
+    origin = "; ".join(f"{key}: {value}" for key, value in in_words(report.origin).items())
     bold = [BEST_NOTE] if best_cells(report) else []
     kind = "categories" if report.families else "objects"
     ends = f"Below SR: the 95 % interval for the mean of all {kind}."

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
+from r2h_batch.base.registry import benchmark_in_words
 from r2h_batch.base.table import NOTE, notes_list
 from r2h_batch.report.statistics.aggregate import Rate, rate_of
 
@@ -49,6 +50,15 @@ def short_names(methods: Sequence[str]) -> dict[str, str]:
 def legend(names: Mapping[str, str]) -> list[str]:
     """`short: full name` of every name that was shortened."""
     return [f"{short}: {method}" for method, short in names.items() if short != method]
+
+
+_SAID = {"protocol": "benchmark", "benchmark": "benchmark flags"}
+
+
+def in_words(origin: Mapping[str, str]) -> dict[str, str]:
+    """Where rows come from, as text says it. CSV, JSON and stored files keep their keys."""
+    said = {_SAID.get(key, key): value for key, value in origin.items()}
+    return said | {"benchmark": benchmark_in_words(said["benchmark"])}
 
 
 def rate_fields(name: str, rate: Rate | None) -> dict[str, float | None]:

@@ -90,7 +90,7 @@ class Sweep(Options):
             return plan
         if self.trials != Options.trials:
             words = "a trials file has its own number, so leave --trials out"
-            raise UsageError(f"--trials sets how many trials the protocol draws; {words}")
+            raise UsageError(f"--trials sets how many trials the benchmark draws; {words}")
         listed = benchmark.listed.trial_id % 2
         counts = {s: int((listed == SPLITS.index(s)).sum()) for s in splits}
         if not any(counts.values()):

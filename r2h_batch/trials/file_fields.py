@@ -158,7 +158,7 @@ Limits = Annotated[
 
 
 class BenchmarkFile(_Entry):
-    """A benchmark; what is left out is as in the built-in one of its protocol. Files are named
+    """A benchmark; what is left out is as in the built-in one that `protocol` names. Files are named
     relative to this one, beside or below it."""
 
     format: Literal[1] = 1
@@ -189,7 +189,7 @@ class BenchmarkFile(_Entry):
     )
     trials: FilePath | None = Field(
         default=None,
-        description="trials of your own, .npz or .parquet; else the protocol draws them",
+        description="trials of your own, .npz or .parquet; else the benchmark draws them",
     )
     seed: Annotated[str, Field(pattern=f"^{SEED}$")] | None = Field(
         default=None,
@@ -211,7 +211,7 @@ class BenchmarkFile(_Entry):
     people: FilePath | None = Field(
         default=None,
         description="receivers with their own bodies and hands: adults, children, elderly, all, wheelchair, or a .csv of"
-        " lengths; null: the protocol's own",
+        " lengths; null: the benchmark's own",
     )
     table: TableEntry = Field(default=TableEntry())
     home: Annotated[

@@ -58,7 +58,7 @@ def test_the_wide_table_gives_back_every_cell_of_table_1(paper):
     assert text.count(r"\midrule") == 3 and text.count("{") == text.count("}")
     first = text.partition(r"\begin{tabular}")[0]
     assert all(line.startswith("% ") for line in first.splitlines())  # provenance is there, and not on the page
-    assert "protocol: made; " in first and "; trials digest: 0123456789abcdef" in first
+    assert "benchmark: made; " in first and "; trials digest: 0123456789abcdef" in first
     assert "S0 FC-Handover: N 500" in first and r"\usepackage{booktabs,siunitx}" in first
 
 

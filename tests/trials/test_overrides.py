@@ -89,7 +89,7 @@ def test_the_protocols_trials_and_the_built_in_benchmark_as_files_give_the_same_
     assert main([*again, "--trials-file", str(tmp_path / "moved.npz")]) == 2
     assert "--trials-file: r2h_batch 0.3 had it" in capsys.readouterr().err
     assert main(["compare", str(tmp_path / "a"), str(tmp_path / "b")]) == 2
-    assert "differ in protocol" in capsys.readouterr().err
+    assert "differ in benchmark (r2h-v1, trials of a file)" in capsys.readouterr().err
 
 
 def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_path, capsys):

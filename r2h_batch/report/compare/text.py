@@ -20,7 +20,7 @@ from r2h_batch.report.statistics.aggregate import Rate
 from r2h_batch.report.statistics.paired import ALPHA, DRAWS, Comparison, Pair
 from r2h_batch.report.statistics.rates import RATES
 from r2h_batch.report.statistics.rates import shares as known_shares
-from r2h_batch.report.text import MOST_LINES, NOTE_LINES, few_notes, legend, short_names
+from r2h_batch.report.text import MOST_LINES, NOTE_LINES, few_notes, in_words, legend, short_names
 from r2h_batch.report.turn import MARK, Turned, about
 from r2h_batch.verdicts import SPLITS
 
@@ -286,7 +286,7 @@ def _latex(
             Column("verdict", tex="$A$ is", left=True),
         ),
         records,
-        notes=[*(f"{key}: {value}" for key, value in origin.items()), *words, decided],
+        notes=[*(f"{key}: {value}" for key, value in in_words(origin).items()), *words, decided],
         bold=frozenset(bold),
         groups=[("", len(c.pairs)) for c in comparisons],
     )

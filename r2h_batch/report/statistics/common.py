@@ -7,7 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.registry import FOREIGN, is_drawn
+from r2h_batch.base.registry import FOREIGN, benchmark_in_words, is_drawn
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.codes import judged_by, never_judged
@@ -54,7 +54,7 @@ def common_trials(
             and random draw; where the person and the table stand may differ.
 
     Raises:
-        ValueError: if the runs hold other trials, or were judged otherwise: robot, protocol, trials,
+        ValueError: if the runs hold other trials, or were judged otherwise: robot, benchmark, trials,
             digests and configuration are compared; versions, device, seed and predictors are not.
             Of two runs of which one holds the release's own verdicts, robot and names of trials are compared.
     """
@@ -138,7 +138,9 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
         return f"robot ({a.robot}, {b.robot})"
     if left["protocol"] != right["protocol"]:
         if FOREIGN not in (left["protocol"], right["protocol"]):
-            return "protocol"
+            return (
+                f"benchmark ({', '.join(benchmark_in_words(h['protocol']) for h in (left, right))})"
+            )
         names = [{i: name for i, (name, _) in run.labels.items()} for run in (a, b)]
         return "" if names[0] == names[1] else "the names of their trials"
     same_trials = left["trials"] == right["trials"]

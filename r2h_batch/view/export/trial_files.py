@@ -250,7 +250,7 @@ def _described(arrays: Arrays, *, rows: bool = True) -> dict[str, dict[str, obje
 def _readme(manifest: dict, sweep: str) -> str:
     counts = ", ".join(f"{n} of {s}" for s, n in manifest["trials"].items())
     lines = [
-        f"# Trials of protocol {manifest['protocol']}",
+        f"# Trials of benchmark {manifest['protocol']}",
         "",
         f"{counts}. Digest `{manifest['digests']['trials']}`.",
         "",
