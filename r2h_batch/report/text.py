@@ -57,8 +57,8 @@ _SAID = {"protocol": "benchmark", "benchmark": "benchmark flags"}
 
 def in_words(origin: Mapping[str, str]) -> dict[str, str]:
     """Where rows come from, as text says it. CSV, JSON and stored files keep their keys."""
-    said = {_SAID.get(key, key): value for key, value in origin.items()}
-    return said | {"benchmark": benchmark_in_words(said["benchmark"])}
+    named = {"protocol": benchmark_in_words(origin["protocol"])} if "protocol" in origin else {}
+    return {_SAID.get(key, key): value for key, value in {**origin, **named}.items()}
 
 
 def rate_fields(name: str, rate: Rate | None) -> dict[str, float | None]:

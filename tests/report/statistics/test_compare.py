@@ -277,7 +277,7 @@ def test_methods_that_answered_other_trials_are_refused(tmp_path, capsys, monkey
 @pytest.mark.parametrize(
     ("change", "what"),
     [
-        ({"protocol": "another"}, "protocol"),
+        ({"protocol": "another"}, r"benchmark \(made, another\)"),
         ({"digests": {"trials": "f"}}, r"digests \(trials\)"),
         ({"configuration": {"name": "paper"}}, r"configuration \(name\)"),
     ],
