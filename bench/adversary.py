@@ -37,7 +37,7 @@ MEASURES = (
     ),
     *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py"),
 )
-BENCHMARKS = ("r2h-v2", "r2h-v3-draft")
+BENCHMARKS = ("r2h-v2", "r2h-v3")
 KEPT, PARENTS, JUDGED = 48, 16, 12
 """Poses that go on from one round to the next, those that have children, and those that all stages judge."""
 STEP_M, STEP_RAD, SHRINKS = 0.03, 0.25, 0.7

@@ -81,7 +81,7 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     if options.kept:
         kept: dict[str, Any] = json.loads((place / "found.json").read_text())
         if not is_frozen(kept):
-            sys.exit(f"{place / 'found.json'} was measured on r2h-v2's draft; give a new --rows FOLDER, without --kept")
+            sys.exit(f"{place / 'found.json'} was measured on another r2h-v2; give a new --rows FOLDER, without --kept")
         return kept | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(place / "v2")
     few = ("--trials", min(trials, FEW))
     v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
@@ -131,7 +131,7 @@ def origin(v2: Path) -> dict[str, Any]:
 
 
 def is_frozen(data: Mapping[str, Any]) -> bool:
-    """Whether the rows are of r2h-v2 as it is frozen; its draft had the receivers of r2h-v1. A sweep itself refuses to go on
+    """Whether the rows are of r2h-v2 as it is frozen; before, it had the receivers of r2h-v1. A sweep itself refuses to go on
     with rows of another digest."""
     from r2h_batch import load_benchmark
 

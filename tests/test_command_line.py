@@ -115,8 +115,8 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
         ("export scene x --trail 1 --out y", ["did you mean --trial?"]),
         ("export trials --out x --splits S3", ["--splits is 'S3'", "allowed are S0, S1\n"]),
         (
-            "sweep --method random --benchmark r2h-v3",
-            ["no benchmark is called 'r2h-v3', did you mean r2h-v3-draft?; allowed are"],
+            "sweep --method random --benchmark r2h-w3",
+            ["no benchmark is called 'r2h-w3', did you mean r2h-v3?; allowed are"],
         ),
         (
             "sweep --benchmark r2h-v1 --method random --people adults children",

@@ -1,4 +1,4 @@
-"""Draws trials of r2h-v3-draft again until the oracle's search finds a whole way, and writes r2h-v3-draft.npz.
+"""Draws trials of r2h-v3 again until the oracle's search finds a whole way, and writes r2h-v3.npz.
 
 `python assets/certified/build_certified.py --trials 500` certifies the first 500 trials of each split by all criteria, with the
 motion as planned (`methods.certify`). Answers that the file holds already are kept (`--anew`: they are not). `--processes` work
@@ -24,7 +24,7 @@ from r2h_batch.methods.certify import certify
 from r2h_batch.trials.certified import Certified, joined_certified, read_certified, save_certified
 from r2h_batch.trials.registry import named_benchmark
 
-NAME = "r2h-v3-draft"
+NAME = "r2h-v3"
 OUT = Path(__file__).parent / f"{NAME}.npz"
 
 

@@ -30,12 +30,13 @@ GONE = {
     "submit": "hand over the run folder; `results reevaluate RUN` judges its rows again",
     "figures": "use view RUN --strips FILE with --trial ID, or with --one-of-each",
     "report --perceived": "use study ratings FILE.csv, for ratings of your own",
-    "results picked": "sweep with --benchmark r2h-v3-draft, which asks for it, or call r2h_batch.judge.picked (docs/r2h_v3.md)",
+    "results picked": "sweep with --benchmark r2h-v3, which asks for it, or call r2h_batch.judge.picked (docs/r2h_v3.md)",
     "results viewed": "report has Presented, which says whether the receiver sees the part",
     "study comfort": "use study ratings FILE.csv",
     "study rated": "use study ratings FILE.csv; export trials writes poses, results reception what the person could take",
     "study trials": "use export trials for poses, results reception for what the person could take",
     "sweep --robustness": "sweep once with each --execution-error (docs/results/questions.md#errors-of-execution)",
+    "benchmark r2h-v3-draft": "write r2h-v3, which it became",
     "turn": "sweep with --turn into RUN-turned/half and RUN-turned/cycled, then compare RUN (docs/statistics.md#turn-test)",
     "import objects --from hoh": "enter meshes and the receiver's regions as files (docs/your_data.md), or use --from oakink",
     "results held": "--stability physics of a sweep shakes each grasp in physics",
@@ -75,7 +76,7 @@ GONE = {
         }.items()
     },
     **{f"{command} --{flag}": _IN_RUN for command in _OPEN_A_RUN for flag in _OF_BENCHMARK},
-    "sweep --until taken": f"{_NOBODY}; the draft ends with --until received",
+    "sweep --until taken": f"{_NOBODY}; r2h-v3 ends with --until received",
 }
 """A command with the word that went (`COMMAND`, `sweep --FLAG`, `COMMAND SUBCOMMAND`, `COMMAND --FLAG VALUE`,
 `--method NAME,OPTION`), or `Class.attribute` -> what to use instead."""

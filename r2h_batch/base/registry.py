@@ -33,9 +33,9 @@ BENCHMARKS = (
         "as r2h-v1, with six instances of each of 16 object families, and 2,000 people from 6 to 90 years",
     ),
     NamedBenchmark(
-        "r2h-v3-draft",
-        "as r2h-v2, from the table; a draft",
-        "a draft: as r2h-v2, and the arm has to pick the object from the table first",
+        "r2h-v3",
+        "as r2h-v2, from the table into the person's hand",
+        "as r2h-v2, and the arm picks the object from the table first, and the person must be able to take it",
     ),
     NamedBenchmark(
         RELEASE,
@@ -48,6 +48,15 @@ BENCHMARK_NAMES = tuple(entry.name for entry in BENCHMARKS)
 LISTED, FOREIGN = "listed", "r2handoversim"
 """In place of a rule: trials of a file; the verdicts of the authors' release, by its own definitions."""
 
+BEFORE = {"r2h-v3-draft": "r2h-v3"}
+"""The name of a benchmark in older run folders -> its name."""
+
+
+def protocol_of(header: Mapping[str, Any]) -> str:
+    """The source of a run's trials by its run.json, a benchmark by the name that it has today."""
+    said = header["protocol"]
+    return BEFORE.get(said, said)
+
 
 def benchmark_in_words(name: str) -> str:
     """A benchmark's name as text says it."""
@@ -56,10 +65,9 @@ def benchmark_in_words(name: str) -> str:
 
 def is_drawn(header: Mapping[str, Any]) -> bool:
     """Whether a rule drew the trials of a run, by its run.json: of any number of them, the first ones are the same."""
-    told = {"objects", "hand_set"} <= header["digests"].keys() or header[
-        "protocol"
-    ] in BENCHMARK_NAMES
-    return told and header["protocol"] not in (LISTED, FOREIGN)
+    protocol = protocol_of(header)
+    told = {"objects", "hand_set"} <= header["digests"].keys() or protocol in BENCHMARK_NAMES
+    return told and protocol not in (LISTED, FOREIGN)
 
 
 class Preset(NamedTuple):

@@ -11,7 +11,7 @@ import gymnasium
 ID = "r2h_batch/Handover-v1"
 FROM_TABLE = "r2h_batch/Handover-v3"
 """On the benchmark whose objects are picked from the table: episodes begin where they are lifted."""
-BENCHMARKS: dict[str, dict[str, Any]] = {ID: {}, FROM_TABLE: {"benchmark": "r2h-v3-draft"}}
+BENCHMARKS: dict[str, dict[str, Any]] = {ID: {}, FROM_TABLE: {"benchmark": "r2h-v3"}}
 """Name of an environment -> arguments that it is made with."""
 
 

@@ -120,7 +120,7 @@ class Flags:
     until: Annotated[
         Literal["", "present", "received"],
         Flag(
-            "where trials of r2h-v3-draft end: present (nobody is asked to take it), or received; default: the benchmark's",
+            "where trials of r2h-v3 end: present (nobody is asked to take it), or received; default: the benchmark's",
             "trials",
         ),
     ] = ""

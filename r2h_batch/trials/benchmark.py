@@ -275,7 +275,8 @@ class Benchmark:
 
     def _digest_of(self, asks: str, *, person: str | None = None) -> str:
         """`_digest` with what the benchmark asks for in these words, and with a person who is made of that; None: as today."""
-        digest = hashlib.sha256(f"{self.protocol}\n{self.hand_set.digest}\n".encode())
+        drawn = self.rule.draws_as if self.listed is None else LISTED
+        digest = hashlib.sha256(f"{drawn}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
             made_of = MADE_OF if person is None else person
             digest.update(f"receiver {self.receiver}\n{made_of}".encode())

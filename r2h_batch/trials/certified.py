@@ -54,7 +54,7 @@ _FORM = {
     "redraws": ArraySpec("int64", (1,)), "solved": ArraySpec("bool", (1,)),
     "T_obj_ee": ArraySpec("float32", (1, 4, 4)), "T_world_ee": ArraySpec("float32", (1, 4, 4)),
 }  # fmt: skip
-DRAWN_BEFORE = {"r2h-v3-draft": "r2h-v3-draft-0.3"}
+DRAWN_BEFORE = {"r2h-v3": "r2h-v3-0.3"}
 """Rule -> the redraws of r2h_batch 0.3, where they were others, without answers: its runs are of those trials."""
 NEVER = 0
 """Redraws of a trial for which nothing was found: it stays the first one, without an answer."""

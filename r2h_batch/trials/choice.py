@@ -33,7 +33,7 @@ class BenchmarkChoice:
     receiver: Literal["", "hand", "body"] = ""
     """Whether planning and Safe see the hand, or the person's arm, torso and head too."""
     until: Literal["", "present", "received"] = ""
-    """Where trials of r2h-v3-draft end: present (nobody is asked to take the object), or received."""
+    """Where trials of r2h-v3 end: present (nobody is asked to take the object), or received."""
     turn: str = ""
     """Turn the objects' frames: half (180 degrees about z), cycled (x to y, y to z, z to x), or degrees about x, y, z
     (`20,40,60`)."""

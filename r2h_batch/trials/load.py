@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from r2h_batch.base.errors import FileError, UserError, nearest
+from r2h_batch.base.gone import gone
 from r2h_batch.base.io.progress import busy
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
@@ -34,6 +35,8 @@ def load_benchmark(benchmark: str | Path = DEFAULT_BENCHMARK, *, pieces: bool = 
         return _of_function(text)
     if _names_file(path):
         return read_benchmark(path / "benchmark.yaml" if path.is_dir() else path, pieces=pieces)
+    if told := gone(f"benchmark {text}"):
+        raise FileError(told)
     raise FileError(
         f"no benchmark is called {printable(text)[:200]!r}{nearest(text, list(BENCHMARK))}; allowed are"
         f" {', '.join(BENCHMARK)}, a benchmark.yaml, or {HOW}"

@@ -9,7 +9,7 @@ from typing import Any
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.read import printable
-from r2h_batch.base.registry import LISTED
+from r2h_batch.base.registry import BEFORE, LISTED, protocol_of
 from r2h_batch.runs.before import tell_changed
 from r2h_batch.scene.objects import object_digest
 from r2h_batch.trials.benchmark import Benchmark
@@ -39,7 +39,7 @@ def benchmark_of_run(
     Raises:
         FileError: a file is missing, or another one; the message says what to do.
     """
-    protocol, digests = header["protocol"], header["digests"]
+    protocol, digests = protocol_of(header), header["digests"]
     said = _said(header, where)
     given = placed(said, Path(where), code)
     if not given.benchmark and protocol != LISTED:
@@ -52,7 +52,7 @@ def benchmark_of_run(
     given = replace(given, receiver=header["configuration"].get("receiver", "hand"), until="")
     pieces = header["configuration"]["plan"]["object_collision"] == "pieces"
     benchmark = edited(given, pieces=pieces)
-    if asks in MAY_ASK:  # the draft of before asked for less
+    if asks in MAY_ASK:  # r2h-v3 of before asked for less
         benchmark = replace(benchmark, asks=asks)
     head_m = header.get("head_clearance_m", 0.0)
     if benchmark.head_clearance_m != head_m:  # nor did it keep off the head
@@ -102,4 +102,6 @@ def _said(header: Mapping[str, Any], where: str) -> BenchmarkChoice:
             values[name] = tuple(words)
         elif name in known:  # older versions wrote one with spaces without quotes
             values[name] = words[0] if len(words) == 1 else text
+    if values.get("benchmark") in BEFORE:
+        values["benchmark"] = BEFORE[values["benchmark"]]
     return BenchmarkChoice(**values)

@@ -11,9 +11,10 @@ from collections.abc import Callable
 from functools import cache
 
 from r2h_batch.base.errors import UserError
+from r2h_batch.base.gone import gone
 from r2h_batch.base.registry import BENCHMARK_NAMES
 from r2h_batch.base.user_code import raised
-from r2h_batch.plugins import PackageError, Registry
+from r2h_batch.plugins import PackageError, PluginError, Registry
 from r2h_batch.strangers import stranger
 from r2h_batch.trials.benchmark import Benchmark
 
@@ -37,6 +38,8 @@ def named_benchmark(name: str) -> Benchmark:
     Raises:
         PluginError: there is none of this name, or another package's is none.
     """
+    if told := gone(f"benchmark {name}"):
+        raise PluginError(told)
     make = BENCHMARK[name]
     if name in BENCHMARK_NAMES:
         return make()

@@ -58,7 +58,7 @@ def test_every_class_of_error_that_a_user_meets_is_of_the_family():
 
 
 def test_the_only_word_that_begins_as_the_given_one_is_the_nearest():
-    names = ["r2h-v1", "r2h-v2", "r2h-v3-draft"]
-    assert errors.nearest("r2h-v3", names) == ", did you mean r2h-v3-draft?"
+    names = ["r2h-v1", "r2h-v2", "r2h-v3-more"]
+    assert errors.nearest("r2h-v3", names) == ", did you mean r2h-v3-more?"
     assert errors.nearest("r2h-v", names) == ", did you mean r2h-v2?"  # several begin so: the nearest letters
     assert errors.nearest("zzzz", names) == ""

@@ -267,7 +267,7 @@ def test_one_gripper_that_is_not_in_the_hand_is_enough(fresh, solved):
 
 
 def test_a_benchmark_with_more_criteria_has_hints_too():
-    evaluator = Evaluator(load_benchmark("r2h-v3-draft").until("present"), EvalConfig(execute=ExecConfig(sim="none")))
+    evaluator = Evaluator(load_benchmark("r2h-v3").until("present"), EvalConfig(execute=ExecConfig(sim="none")))
     trials = evaluator.benchmark.trials(6)
     answer = oracle.predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
     with pytest.warns(UserWarning, match=r"all 12 rows fail .*; 1[012] of 12 pass with T_world_ee inverted"):
@@ -275,9 +275,9 @@ def test_a_benchmark_with_more_criteria_has_hints_too():
 
 
 def test_a_grasp_given_where_the_object_rests_is_told_on_a_benchmark_that_begins_at_the_table():
-    draft = load_benchmark("r2h-v3-draft").until("present")
-    evaluator, trials = Evaluator(draft), draft.trials(4)
-    known = load_benchmark("r2h-v3-draft").certificates(trials.trial_id.numpy())
+    v3 = load_benchmark("r2h-v3").until("present")
+    evaluator, trials = Evaluator(v3), v3.trials(4)
+    known = load_benchmark("r2h-v3").certificates(trials.trial_id.numpy())
     grasp, pose = (torch.from_numpy(np.array(x)) for x in (known.T_obj_ee, known.T_world_ee))
     on_table = se3.matmul(moments(evaluator.scene, trials), grasp)
     evaluator.called = True  # no warning: the hint is asked for

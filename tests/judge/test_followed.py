@@ -32,7 +32,7 @@ EXACT = "cell-v1,noise=0,model=known,object=none"
 
 @cache
 def benchmark():
-    return load_benchmark("r2h-v3-draft").until("present")
+    return load_benchmark("r2h-v3").until("present")
 
 
 @cache

@@ -147,12 +147,12 @@ def test_captured_and_compiled_calls_have_it_too(rows):
 
 
 def test_which_criteria_go_together_and_what_a_digest_knows():
-    v2, draft = load_benchmark("r2h-v2"), load_benchmark("r2h-v3-draft")
-    assert v2.asks == () and draft.asks == ("pick", "presented", "received") and ("presented",) in MAY_ASK
+    v2, v3 = load_benchmark("r2h-v2"), load_benchmark("r2h-v3")
+    assert v2.asks == () and v3.asks == ("pick", "presented", "received") and ("presented",) in MAY_ASK
     for asks in (("presented", "pick"), ("received",), ("presented", "received"), ("presented", "presented")):
         with pytest.raises(ValueError, match="received with pick"):
             replace(v2, asks=asks)
-    assert draft.until("present").asks == ("pick", "presented") and draft.until("received").asks == draft.asks
+    assert v3.until("present").asks == ("pick", "presented") and v3.until("received").asks == v3.asks
     with pytest.raises(ValueError, match="until 'present' needs pick"):
         replace(v2, asks=("presented",)).until("present")
     asked = replace(v2, asks=("presented",))

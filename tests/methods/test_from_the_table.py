@@ -34,7 +34,7 @@ N = 8
 
 @cache
 def judge():
-    return Evaluator(load_benchmark("r2h-v3-draft"), EvalConfig(execute=ExecConfig(sim="none")))
+    return Evaluator(load_benchmark("r2h-v3"), EvalConfig(execute=ExecConfig(sim="none")))
 
 
 @cache
@@ -198,7 +198,7 @@ def test_a_sweep_tells_a_method_where_objects_rest_only_if_trials_begin_there(tm
         "    return at_random(trials, scene, seed=seed)\n"
     )
     line = ["--method", f"{code}:predict", "--trials", "2", "--execute.sim", "none"]
-    for name in each(("r2h-v3-draft", "r2h-v2")):
+    for name in each(("r2h-v3", "r2h-v2")):
         assert sweep([*line, "--benchmark", name, "--out", str(tmp_path / name)]) == 0
         told = torch.load(tmp_path / "told.pt")
         if name == "r2h-v2":
@@ -369,9 +369,9 @@ def test_a_search_with_errors_of_the_object_moves_the_object_and_not_the_gripper
 
 
 def test_a_believed_world_asks_for_pick_alone():
-    draft = load_benchmark("r2h-v3-draft")
-    own, _ = known_before(draft)
-    assert "received" in draft.asks and own.asks == ("pick",) and own.certified is None
+    v3 = load_benchmark("r2h-v3")
+    own, _ = known_before(v3)
+    assert "received" in v3.asks and own.asks == ("pick",) and own.certified is None
     assert known_before(load_benchmark("r2h-v2"))[0].asks == ()
 
 

@@ -19,7 +19,7 @@ from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 
 @cache
 def scene():
-    return Evaluator(load_benchmark("r2h-v3-draft")).scene
+    return Evaluator(load_benchmark("r2h-v3")).scene
 
 
 def world(sees, n=6):

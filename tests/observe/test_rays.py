@@ -246,7 +246,7 @@ def test_moments_and_images_have_the_same_bits_alone_in_sevens_and_permuted():
 
 
 def test_objects_find_places_on_the_table_of_a_small_arm_and_those_of_larger_arms_stay():
-    usual = load_benchmark("r2h-v3-draft")
+    usual = load_benchmark("r2h-v3")
     for name in ("ur5e_2f85", "panda_hand", "ur10e_2f85"):
         assert region_scale(usual.on(load_robot(name)).workplace) == 1.0
     small = usual.on(load_robot("ur3e_2f85"))

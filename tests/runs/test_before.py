@@ -22,7 +22,7 @@ from r2h_batch.sweep.results.reevaluation import reevaluate
 from r2h_batch.trials.of_run import benchmark_of_run
 
 DRAFT = Path(__file__).resolve().parents[1] / "frozen" / "draft"
-"""A run of the draft that asked for Taken, with transfers beside its shards."""
+"""A run of r2h-v3 under its former name, which asked for Taken, with transfers beside its shards."""
 
 
 @pytest.fixture
@@ -81,6 +81,18 @@ def test_runs_of_persons_without_a_head_are_told_and_never_compared_with_others(
     assert (
         "the receivers of old have none" in said and "no head" not in said
     )  # which `old` was told when it was opened first
+
+
+def test_runs_of_a_benchmark_under_its_former_name_are_paired_with_those_of_today(tmp_path):
+    outcomes, digests = {"m": np.arange(12) % 3}, {"trials": "0123456789abcdef", "benchmark": "1" * 64}
+    runs = [
+        write_run(tmp_path / name, outcomes, 6, 6, protocol=name, digests=digests)
+        for name in ("r2h-v3", "r2h-v3-draft", "r2h-v2")
+    ]
+    for pair in each((runs[:2], runs[1::-1])):
+        assert not common_trials(pair).notes
+    with pytest.raises(ValueError, match="differ in benchmark"):
+        common_trials(runs[1:])
 
 
 def test_hands_alone_are_judged_as_before_and_body_m_says_whose_it_is(tmp_path, monkeypatch, capsys):

@@ -54,7 +54,7 @@ SWEEPS = {
     FAMILIES: Sweep(FAMILIES, (*METHODS, "learned")),  # learned was trained for this benchmark
     "r2h-v1": Sweep("r2h-v1", ("random", "fc", "intent")),
     "release": Sweep("r2h-release", ("random", "contact"), ("--execute.sim", "none", "--preset", "release")),
-    "draft": Sweep("r2h-v3-draft", ("random", "oracle", "fc")),
+    "r2h-v3": Sweep("r2h-v3", ("random", "oracle", "fc")),
     "sees": Sweep(FAMILIES, ("robust", "learned"), ("--execute.sim", "none", "--sees", "cell-v1,region=told")),
     "closed": Sweep(
         FAMILIES, ("oracle",), ("--execute.sim", "none", "--receiver-motion", "moves", "--policy", "servo")
@@ -211,10 +211,10 @@ def _gradients() -> dict[str, dict[str, str]]:
 
 
 def _redraws() -> dict[str, dict[str, str]]:
-    """The draft's trials: where hands and objects are, how often each was drawn again, which certificates are in force."""
+    """r2h-v3's trials: where hands and objects are, how often each was drawn again, which certificates are in force."""
     from r2h_batch import load_benchmark
 
-    benchmark = load_benchmark("r2h-v3-draft")
+    benchmark = load_benchmark("r2h-v3")
     trials = benchmark.trials(ROWS)
     ids = trials.trial_id.numpy()
     redraws, answers = benchmark.redraws(ids), benchmark.certificates(ids)

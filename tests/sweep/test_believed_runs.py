@@ -22,7 +22,7 @@ from r2h_batch.view.stored import Reader
 
 LINE = [
     "--benchmark",
-    "r2h-v3-draft",
+    "r2h-v3",
     "--until",
     "present",
     "--method",
@@ -79,9 +79,9 @@ def test_a_run_says_that_its_arms_were_planned_by_what_was_seen(runs):
     assert "sees" not in json.loads((runs / "truth" / "run.json").read_text())
     own = Sees.parse("cell-v1")
     assert "plans" not in own.on(load_benchmark("r2h-v2")).identity  # the object is in the gripper there
-    assert Sees.planning(header) == own.on(load_benchmark("r2h-v3-draft"))
+    assert Sees.planning(header) == own.on(load_benchmark("r2h-v3"))
     assert Sees.planning({"sees": own.identity}) is None and Sees.planning({}) is None
-    assert own.on(load_benchmark("r2h-v3-draft")).digest != own.digest
+    assert own.on(load_benchmark("r2h-v3")).digest != own.digest
 
 
 def test_every_row_is_judged_again_bit_for_bit_and_its_method_asked_again(runs, capsys):

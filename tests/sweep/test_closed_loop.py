@@ -15,10 +15,10 @@ def sweep(folder, *more):
 
 
 def test_trials_that_begin_on_the_table_are_refused_before_one_is_judged(tmp_path, capsys):
-    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "--trials", "1", "--receiver-motion", "moves"]
+    line = ["--benchmark", "r2h-v3", "--method", "random", "--trials", "1", "--receiver-motion", "moves"]
     assert main([*line, "--out", str(tmp_path / "run")]) == 2
     said = capsys.readouterr().err.strip().splitlines()[-1]
-    assert "trials of r2h-v3-draft begin on the table" in said and "r2h_batch/Handover-v3" in said
+    assert "trials of r2h-v3 begin on the table" in said and "r2h_batch/Handover-v3" in said
     assert not (tmp_path / "run" / "run.json").exists()
 
 

@@ -65,7 +65,7 @@ def test_readmes_table_says_who_is_better_from_both_sides():
     assert f"| oracle | judge | {row['sr']:.1f} ({row['sr_new_categories_low']:.1f}-" in found
 
 
-def test_rows_of_the_draft_are_told_from_those_of_the_frozen_protocol():
+def test_rows_of_another_r2h_v2_are_told_from_those_of_the_frozen_one():
     import families
 
     from r2h_batch import load_benchmark

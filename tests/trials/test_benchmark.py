@@ -75,8 +75,9 @@ def test_the_built_in_one_is_such_a_file(tmp_path, capsys):
 
 
 def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeypatch):
-    digests = {name: load_benchmark(name).digest for name in ("r2h-v0", "r2h-v1", "r2h-v2", "r2h-v3-draft")}
+    digests = {name: load_benchmark(name).digest for name in ("r2h-v0", "r2h-v1", "r2h-v2", "r2h-v3")}
     assert digests["r2h-v0"].startswith("3bff8fe196d6") and digests["r2h-v1"].startswith("e9a7531f1846")
+    assert digests["r2h-v3"] == "0b27b84787b9a4e422c73b90723dc62e88c8529c585e8a33740b9c54bc7dd3f6"
     assert list(load_benchmark("r2h-v2").digests_before(())) == [
         "940101feca37a37ffcc3e60468b04b7b2200d1726a77f65e91da0d871adc49b0"
     ]
@@ -87,22 +88,42 @@ def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeyp
         assert (other.digest == digest) == (other.receiver == "hand"), name
 
 
+def test_the_name_that_r2h_v3_had_before_it_was_frozen_says_what_to_write(tmp_path, capsys):
+    with pytest.raises(FileError, match=r"^benchmark r2h-v3-draft: r2h_batch 0.3 had it, .*; write r2h-v3, which"):
+        load_benchmark("r2h-v3-draft")
+    with pytest.raises(FileError, match=r"benchmark.yaml: benchmark r2h-v3-draft: .*; write r2h-v3, which"):
+        read_benchmark(written(tmp_path, "protocol: r2h-v3-draft\n"))
+    assert main(["sweep", "--benchmark", "r2h-v3-draft", "--method", "random"]) == 2
+    (line,) = [x for x in capsys.readouterr().err.splitlines() if ": working, " not in x]
+    assert line.endswith("write r2h-v3, which it became")
+
+
+def test_a_rule_with_a_key_draws_as_the_key_says_and_is_called_by_its_name():
+    v2, ids = load_benchmark("r2h-v2"), torch.arange(4)
+    again = replace(v2, rule=replace(v2.rule, name="other", key="r2h-v2"))
+    assert again.protocol == "other" and again.digest == v2.digest
+    assert torch.equal(again.trials_with_ids(ids).T_world_hand, v2.trials_with_ids(ids).T_world_hand)
+    other = replace(v2, rule=replace(v2.rule, key="other"))
+    assert other.protocol == "r2h-v2" and other.digest != v2.digest
+    assert not torch.equal(other.trials_with_ids(ids).T_world_hand, v2.trials_with_ids(ids).T_world_hand)
+
+
 def test_what_is_kept_from_the_head_is_a_number_of_the_benchmark_where_the_person_counts(tmp_path, capsys):
-    v2, draft = load_benchmark("r2h-v2"), load_benchmark("r2h-v3-draft")
-    assert v2.head_clearance_m == 0 and draft.head_clearance_m == 0.1
+    v2, v3 = load_benchmark("r2h-v2"), load_benchmark("r2h-v3")
+    assert v2.head_clearance_m == 0 and v3.head_clearance_m == 0.1
     assert v2.digest == load_benchmark("r2h-v2").digest != replace(v2, head_clearance_m=0.1).digest
     for text, wanted in each(
         {
             "protocol: r2h-v2": v2,
             "protocol: r2h-v2\nhead_clearance_m: 0.1": replace(v2, head_clearance_m=0.1),
-            "protocol: r2h-v3-draft": draft,
-            "protocol: r2h-v3-draft\nhead_clearance_m: 0.0": replace(draft, head_clearance_m=0.0),
-            "protocol: r2h-v3-draft\nreceiver: hand": replace(draft, receiver="hand", head_clearance_m=0.0),
+            "protocol: r2h-v3": v3,
+            "protocol: r2h-v3\nhead_clearance_m: 0.0": replace(v3, head_clearance_m=0.0),
+            "protocol: r2h-v3\nreceiver: hand": replace(v3, receiver="hand", head_clearance_m=0.0),
         }.items()
     ):
         assert read_benchmark(written(tmp_path, text)).digest == wanted.digest, text
     # trials and certificates are those without it
-    assert draft.undrawn_digest == replace(draft, head_clearance_m=0.0).undrawn_digest
+    assert v3.undrawn_digest == replace(v3, head_clearance_m=0.0).undrawn_digest
     with pytest.raises(ValueError, match=r"head_clearance_m is 0\.6; it must be a finite number from 0 to 0\.5"):
         replace(v2, head_clearance_m=0.6)
     with pytest.raises(ValueError, match=r"head_clearance_m is 0\.1 and receiver is hand, without a head; make it 0"):

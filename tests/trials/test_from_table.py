@@ -1,4 +1,4 @@
-"""Draft r2h-v3: r2h-v2 with Pick. What Pick adds, what it leaves as it is, and the same bits however trials are asked."""
+"""r2h-v3: r2h-v2 with Pick. What Pick adds, what it leaves as it is, and the same bits however trials are asked."""
 
 import re
 from dataclasses import replace
@@ -51,7 +51,7 @@ KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 N = 8
 LINE = [
     "--benchmark",
-    "r2h-v3-draft",
+    "r2h-v3",
     "--method",
     "random",
     "oracle",
@@ -64,14 +64,14 @@ LINE = [
 
 
 @pytest.fixture(scope="module")
-def draft():
-    return load_benchmark("r2h-v3-draft")
+def v3():
+    return load_benchmark("r2h-v3")
 
 
 @pytest.fixture(scope="module")
-def presents(draft):
-    """The draft until the arm is at rest."""
-    return draft.until("present")
+def presents(v3):
+    """r2h-v3 until the arm is at rest."""
+    return v3.until("present")
 
 
 @pytest.fixture(scope="module")
@@ -80,8 +80,8 @@ def judge(presents):
 
 
 @pytest.fixture(scope="module")
-def gives(draft):
-    return Evaluator(draft, KINEMATIC)
+def gives(v3):
+    return Evaluator(v3, KINEMATIC)
 
 
 @pytest.fixture(scope="module")
@@ -129,10 +129,10 @@ def folder(tmp_path_factory):
 
 
 @pytest.mark.check
-def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(draft):
+def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(v3):
     v2 = load_benchmark("r2h-v2")
-    assert v2.asks == () and draft.asks == ("pick", "presented", "received")
-    assert replace(draft, asks=()).digest != draft.digest
+    assert v2.asks == () and v3.asks == ("pick", "presented", "received")
+    assert replace(v3, asks=()).digest != v3.digest
     assert replace(v2, asks=("pick",)).digest != v2.digest == replace(v2, asks=()).digest
     for asks in each((("plan",), ("pick", "pick"), ("",), ("received",), ("pick", "received", "taken"))):
         with pytest.raises(ValueError, match=r"asks is .* must be some of \('pick', "):
@@ -158,9 +158,9 @@ def test_pick_is_what_the_judge_of_grasps_says_of_the_moment(judge, asked, score
     assert {"passed_pick", "margin_pick_m"} <= set(scores.to_pandas())
 
 
-def test_all_else_but_the_carry_is_as_without_pick(draft, judge, asked, scores):
+def test_all_else_but_the_carry_is_as_without_pick(v3, judge, asked, scores):
     T_obj_ee, T_world_ee, trials = asked
-    other = Evaluator(replace(draft, asks=()), KINEMATIC)
+    other = Evaluator(replace(v3, asks=()), KINEMATIC)
     before = other.score(T_obj_ee, T_world_ee, other.benchmark.trials_with_ids(trials.trial_id))
     same = [CRITERIA.index(name) for name in ("stability", "reach", "affordance")]
     for name in each(("passed", "evaluated", "margin_kind", "margin")):
@@ -325,17 +325,17 @@ def test_what_nobody_can_take_fails_received_and_says_why(gives, asked, whole, m
     assert (found.margin_kind[:, received] == int(MarginKind.CAP)).all()
 
 
-def test_a_benchmark_may_end_before_the_giving(draft, presents, scores):
-    assert presents.asks == ("pick", "presented") and draft.until("received").asks == draft.asks
-    assert draft.until("received").digest == draft.digest != presents.digest
-    assert torch.equal(presents.trials(3).T_world_hand, draft.trials(3).T_world_hand)
+def test_a_benchmark_may_end_before_the_giving(v3, presents, scores):
+    assert presents.asks == ("pick", "presented") and v3.until("received").asks == v3.asks
+    assert v3.until("received").digest == v3.digest != presents.digest
+    assert torch.equal(presents.trials(3).T_world_hand, v3.trials(3).T_world_hand)
     assert scores.criteria == (*CRITERIA, "pick", "presented") and not hasattr(scores, "receives")
     with pytest.raises(ValueError, match="r2h-v2 asks for none of these; until 'present' needs pick"):
         load_benchmark("r2h-v2").until("present")
     with pytest.raises(ValueError, match="until 'received' needs pick, received"):
         presents.until("received")
     with pytest.raises(ValueError, match="stage is 'given'"):
-        draft.until("given")
+        v3.until("given")
 
 
 def test_the_pose_stage_asks_nobody_to_take_anything(gives, asked):
@@ -411,10 +411,10 @@ def test_a_row_that_is_no_pose_is_not_picked(judge, asked):
     assert found.pick[:, 0].tolist() == [PickReason.NOT_EVALUATED] * 2
 
 
-def test_errors_of_execution_are_refused(draft):
+def test_errors_of_execution_are_refused(v3):
     config = replace(KINEMATIC, execution_error=ExecutionError(camera_m=0.001))
-    with pytest.raises(ValueError, match="execution_error changes poses, and r2h-v3-draft asks for Pick"):
-        Evaluator(draft, config)
+    with pytest.raises(ValueError, match="execution_error changes poses, and r2h-v3 asks for Pick"):
+        Evaluator(v3, config)
 
 
 def test_moments_are_drawn_once_and_are_those_of_any_draw(judge, monkeypatch):
@@ -475,7 +475,7 @@ def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thre
     again = reevaluate(whole, whole.methods[0], 8, Judge(whole))
     assert again.equal == 8 and not again.differences
     given = benchmark_of_run(whole.header, "x")
-    assert given.digest == load_benchmark("r2h-v3-draft").digest
+    assert given.digest == load_benchmark("r2h-v3").digest
 
 
 def test_a_sweep_goes_on_where_it_was(folder, capsys):

@@ -24,7 +24,7 @@ from r2h_batch.scene.person import heads_of
 KINDS = {
     "r2h-v2": lambda: load_benchmark("r2h-v2"),
     "r2h-v1": lambda: load_benchmark("r2h-v1"),
-    "r2h-v3-draft": lambda: load_benchmark("r2h-v3-draft"),
+    "r2h-v3": lambda: load_benchmark("r2h-v3"),
     **{
         f"people {word}": lambda word=word: load_benchmark("r2h-v2").with_people(built_in_people(word))
         for word in WORDS

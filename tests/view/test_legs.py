@@ -30,7 +30,7 @@ WANTED = ("grasp_collides", "out_of_reach", "no_straight_way")
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
     out = tmp_path_factory.mktemp("legs") / "run"
-    line = ["--benchmark", "r2h-v3-draft", "--method", "random", "fc", "--trials", "9", "--execute.sim", "none"]
+    line = ["--benchmark", "r2h-v3", "--method", "random", "fc", "--trials", "9", "--execute.sim", "none"]
     assert sweep([*line, "--out", str(out)]) == 0
     return Reader(out)
 
@@ -111,7 +111,7 @@ def test_a_page_plays_the_legs_first_with_an_open_gripper_and_the_object_where_i
 def test_the_resting_object_lies_at_the_trials_moment_and_the_gripper_comes_open(reader):
     number = passing(reader)
     leg = reader.trial(number, "fc").before[0]
-    trial = load_benchmark("r2h-v3-draft").trials_with_ids(torch.tensor([number]))
+    trial = load_benchmark("r2h-v3").trials_with_ids(torch.tensor([number]))
     T = moments(reader.evaluator.scene, trial)[0].double().numpy()
     assert np.array_equal(leg.resting, T) and leg.row["opening_m"] == leg.robot.open_gap_m
     drawing = Drawing(leg)
@@ -129,7 +129,7 @@ def test_where_a_pick_fails_the_posture_and_the_pair_of_its_margin_are_drawn(rea
         if reason in seen:
             continue
         seen.add(reason)
-        trial = load_benchmark("r2h-v3-draft").trials_with_ids(torch.tensor([row["trial_id"]]))
+        trial = load_benchmark("r2h-v3").trials_with_ids(torch.tensor([row["trial_id"]]))
         T_world_obj = moments(reader.evaluator.scene, trial)
         T = torch.tensor(stored.T_obj_ee, dtype=torch.float32)[None]
         grasp = picked(reader.evaluator.scene, T, T_world_obj, trial).T_world_ee[0].double().numpy()

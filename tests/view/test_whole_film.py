@@ -20,7 +20,7 @@ SEES = "cell-v1,noise=0.5,labels=grown,model=known,object=field,region=told,seed
 @pytest.fixture(scope="module")
 def reader(tmp_path_factory):
     out = tmp_path_factory.mktemp("whole") / "run"
-    line = ["--benchmark", "r2h-v3-draft", "--method", "learned", "--trials", "2", "--execute.sim", "none"]
+    line = ["--benchmark", "r2h-v3", "--method", "learned", "--trials", "2", "--execute.sim", "none"]
     assert sweep([*line, "--sees", SEES, "--out", str(out)]) == 0
     return Reader(out)
 

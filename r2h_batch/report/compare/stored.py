@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.registry import DEFAULT_BENCHMARK, METHOD_NAMES
+from r2h_batch.base.registry import DEFAULT_BENCHMARK, METHOD_NAMES, protocol_of
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
@@ -16,8 +16,8 @@ BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
 
 SHIPPED = Path(__file__).parent / "rows"
-"""Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--execute.sim none`.
-`make tables` scores them again."""
+"""Rows of the default benchmark, 500 trials of each split: moved by MuJoCo C (with poses), and with `--execute.sim none`
+(`make tables` scores them again); and of r2h-v3 in both tracks, told the truth and seeing (bench/r2h_v3.py)."""
 
 LATER = Path(__file__).parent / "later"
 """Rows of built-in methods that came after the others, in folders of the same names: of one later commit."""
@@ -40,7 +40,7 @@ def stored_rows() -> tuple[Path, ...]:
 
 def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
     """The stored run that the run of this run.json can be compared with: of the same benchmark, by its digest, and preset,
-    moved by the same engine if there is one; else of the same rule, objects and hands.
+    that sees the same and was moved by the same engine if there is one; else of the same rule, objects and hands.
 
     Args:
         header: run.json; None: simulated rows of the default benchmark.
@@ -51,7 +51,9 @@ def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
     if header is None:
         return baselines_of(None, DEFAULT_BENCHMARK)
     likeness = {folder: _likeness(header, own) for folder, own in _headers().items()}
-    suited = [folder for folder, (benchmark, preset, _) in likeness.items() if benchmark and preset]
+    suited = [
+        folder for folder, (benchmark, preset, *_) in likeness.items() if benchmark and preset
+    ]
     if not suited:
         flags = " ".join((header.get("benchmark") or {}).get("flags", ()))
         preset = header.get("configuration", {}).get("name", "default")
@@ -60,7 +62,7 @@ def baselines_for(header: Mapping[str, Any] | None = None) -> Path:
 
 
 def baselines_of(digest: str | None, name: str) -> Path:
-    """The stored run of a benchmark with the default preset, simulated if there is one.
+    """The stored run of a benchmark with the default preset, told the truth, simulated if there is one.
 
     Args:
         digest: of the benchmark; None: of the rule `name`.
@@ -73,6 +75,7 @@ def baselines_of(digest: str | None, name: str) -> Path:
         folder
         for folder, own in _headers().items()
         if own["configuration"]["name"] == "default"
+        and "sees" not in own["digests"]
         and (own["digests"]["benchmark"] == digest if digest else own["protocol"] == name)
     ]
     if not found:
@@ -122,18 +125,19 @@ def _headers() -> dict[Path, dict[str, Any]]:
     return {folder: read_header(folder) for folder in stored_rows()}
 
 
-def _likeness(header: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[int, int, int]:
+def _likeness(header: Mapping[str, Any], own: Mapping[str, Any]) -> tuple[int, int, int, int]:
     """How well stored rows suit a run: its benchmark (2: the same digest, 1: the same rule, objects and hands), its preset,
-    its engine."""
+    what its methods see, its engine."""
     digests, theirs = header.get("digests", {}), own["digests"]
     same = digests.get("benchmark") == theirs["benchmark"]
-    alike = header.get("protocol") == own["protocol"] and all(
+    alike = protocol_of(header) == own["protocol"] and all(
         digests.get(k) == theirs[k] for k in ("objects", "hand_set")
     )
     configuration = header.get("configuration", {})
     preset = configuration.get("name", "default") == own["configuration"]["name"]
+    sees = digests.get("sees") == theirs.get("sees")
     engines = ((c.get("execute") or {}).get("sim") for c in (configuration, own["configuration"]))
-    return 2 if same else int(alike), int(preset), int(len({*engines}) == 1)
+    return 2 if same else int(alike), int(preset), int(sees), int(len({*engines}) == 1)
 
 
 def _none_stored(name: str, flags: str, preset: str) -> str:

@@ -7,7 +7,7 @@ from itertools import combinations
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.registry import FOREIGN, benchmark_in_words, is_drawn
+from r2h_batch.base.registry import FOREIGN, benchmark_in_words, is_drawn, protocol_of
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of
 from r2h_batch.config import EvalConfig
 from r2h_batch.report.statistics.codes import judged_by, never_judged
@@ -84,7 +84,7 @@ def common_trials(
         notes.append(
             f"The runs hold different trials; compared are the first {shared}, which all of them hold."
         )
-    if len({run.header["protocol"] for run in runs}) > 1:
+    if len({protocol_of(run.header) for run in runs}) > 1:
         notes.append(
             f"Trials are paired by their names: {FOREIGN} holds the release's own verdicts, by its definitions."
         )
@@ -136,7 +136,7 @@ def _differing(a: Run, b: Run, proven: Collection[Path], across_robots: bool) ->
     robots = a.robot != b.robot
     if robots and not across_robots:
         return f"robot ({a.robot}, {b.robot})"
-    if left["protocol"] != right["protocol"]:
+    if protocol_of(left) != protocol_of(right):
         if FOREIGN not in (left["protocol"], right["protocol"]):
             return (
                 f"benchmark ({', '.join(benchmark_in_words(h['protocol']) for h in (left, right))})"

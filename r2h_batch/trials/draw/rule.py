@@ -101,15 +101,22 @@ class Rule:
     """Draws the trials of a benchmark.
 
     Attributes:
-        name: seeds the random counters together with `Benchmark.seed`, and is the `protocol` of stored runs.
+        name: the `protocol` of stored runs.
         place: places the hands of a batch. A row may depend on nothing but its own trial. Raises `rng.NothingFits`
             where there is no place.
         bodies: whether receivers have arms and a torso.
+        key: seeds the random counters together with `Benchmark.seed`, and stands in the benchmark's digest; empty: the name.
     """
 
     name: str
     place: Callable[[Batch], Placed]
     bodies: bool = False
+    key: str = ""
+
+    @property
+    def draws_as(self) -> str:
+        """What decides its draws: its key, or its name."""
+        return self.key or self.name
 
     def draw(self, given: Given, trial_id: NDArray[np.int64], redraws: NDArray[np.int64]) -> Trials:
         """The trials of these ids, in this order, on the CPU.
@@ -122,7 +129,7 @@ class Rule:
         Raises:
             ValueError: a trial's split has no object, or no hand fits table and home.
         """
-        seed = f"{self.name} {given.seed}" if given.seed else self.name
+        seed = f"{self.draws_as} {given.seed}" if given.seed else self.draws_as
         if not redraws.any():
             return self._drawn(given, trial_id, seed, 0)
         counts = np.unique(redraws).tolist()

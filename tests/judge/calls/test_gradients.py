@@ -52,7 +52,7 @@ def test_values_are_bitwise_those_without_a_gradient(batch):
 
 
 def asked(name: str) -> tuple[Evaluator, Batch]:
-    """A benchmark's evaluator and candidates; of the draft only Pick is asked beside the five criteria."""
+    """A benchmark's evaluator and candidates; of r2h-v3 only Pick is asked beside the five criteria."""
     benchmark = load_benchmark(name)
     if benchmark.asks:
         benchmark = replace(benchmark, asks=("pick",))
@@ -62,7 +62,7 @@ def asked(name: str) -> tuple[Evaluator, Batch]:
     return evaluator, Batch(trials, poses.T_obj_ee, poses.T_world_ee)
 
 
-@pytest.mark.parametrize("name", ["r2h-v1", "r2h-v2", "r2h-v3-draft", "panda_hand"])
+@pytest.mark.parametrize("name", ["r2h-v1", "r2h-v2", "r2h-v3", "panda_hand"])
 def test_a_gradient_is_the_evaluators_own_difference_of_every_criterion(name):
     evaluator, batch = (evaluator_of(name), None) if name == "panda_hand" else asked(name)
     batch = batch or candidates(evaluator, 48)

@@ -102,9 +102,9 @@ def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
         evaluator.capture(0)
 
 
-@pytest.fixture(scope="module", params=[DEFAULT_BENCHMARK, "r2h-v3-draft"])
+@pytest.fixture(scope="module", params=[DEFAULT_BENCHMARK, "r2h-v3"])
 def before_people(request):
-    """Poses on benchmarks whose receivers have arm and torso; the draft also asks for Pick and Received."""
+    """Poses on benchmarks whose receivers have arm and torso; r2h-v3 also asks for Pick and Received."""
     benchmark = load_benchmark(request.param)
     evaluator, trials = Evaluator(benchmark), benchmark.trials(B)[:B]
     poses = oracle.predict(trials, evaluator.scene)
@@ -155,8 +155,8 @@ def test_before_people_a_compiled_call_has_the_gradient_of_the_plain_one(before_
 
 
 def test_what_cuda_cannot_capture_is_refused_by_name():
-    benchmark, device = load_benchmark("r2h-v3-draft"), torch.device("cuda")
-    with pytest.raises(ValueError, match=r"r2h-v3-draft asks for Pick, .* call score\(\.\.\., stages='pose'\)"):
+    benchmark, device = load_benchmark("r2h-v3"), torch.device("cuda")
+    with pytest.raises(ValueError, match=r"r2h-v3 asks for Pick, .* call score\(\.\.\., stages='pose'\)"):
         check_capture(benchmark, EvalConfig(), device, "pose")
     check_capture(benchmark, EvalConfig(), torch.device("cpu"), "all")
     check_capture(load_benchmark(), EvalConfig(), device, "pose")

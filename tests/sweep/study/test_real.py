@@ -100,10 +100,10 @@ def test_agreement_is_counted_by_outcome(paper_rows, judged, tmp_path, capsys):
     assert "failure, no criterion noted 1" in text
 
 
-def test_a_draft_that_begins_on_the_table_has_its_own_criteria(paper_rows, judged, tmp_path, capsys):
+def test_a_benchmark_that_begins_on_the_table_has_its_own_criteria(paper_rows, judged, tmp_path, capsys):
     """In the table that a lab fills in, and in the agreement by outcome."""
-    folder, name = tmp_path / "draft", "random"
-    line = ["--benchmark", "r2h-v3-draft", "--method", name, "--trials", "3", "--execute.sim", "none"]
+    folder, name = tmp_path / "mine", "random"
+    line = ["--benchmark", "r2h-v3", "--method", name, "--trials", "3", "--execute.sim", "none"]
     assert sweep([*line, "--out", str(folder)]) == 0
     stored = {r["trial_id"]: r["outcome"] for r in load_run(folder).trials(name).to_pylist()}
     failed = [i for i, outcome in stored.items() if outcome == "pick"]
