@@ -190,7 +190,10 @@ def _from_person(
 def stand(w: Work) -> None:
     """The goal posture in place of a path, and where the robot is nearest to the receiver there."""
     held, (ik, usable) = w.held, branches(w)
-    w.goal = judge_goals(w.scene, held.planner_poses, held.T_world_ee, ik, usable, held.active)
+    w.goal = judge_goals(
+        w.scene, held.planner_poses, held.T_world_ee, ik, usable, held.active,
+        from_home=w.picked is None,
+    )  # fmt: skip
     w.nearest = hand_distance_at(w.scene, held.body_poses, w.goal.q, held.active)
     if w.trials.receiver is not None:
         w.person = person_distance_at(

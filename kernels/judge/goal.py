@@ -55,8 +55,8 @@ def _nearest_untried(q_in: wp.array2d(dtype=float), trial: int, home: vecq, trie
 # The planner goes to the free branch that is nearest to home in joint space. If none is free, it names what blocks the first
 # valid one. This kernel does the same without a path, in one loop around one call of `check_interval` (most of its code):
 #
-# 1. home comes first (slot -1). If home is not free, that is the reason. The branches are still checked, because the goal's
-#    clearance is measured at the one that is free;
+# 1. home comes first (slot -1). If it is not free, and the object is in the gripper there already, that is the reason. The
+#    branches are still checked, because the goal's clearance is measured at the one that is free;
 # 2. the valid branches follow by distance from home, until one is free;
 # 3. `tried` has a bit for each branch that needs no check: invalid ones, and those that are checked. When all bits are set the
 #    reason stays: unreachable without any valid branch, else in collision;
@@ -71,6 +71,7 @@ def choose_goal(
     singular: int,  # the status of such a pair (kernels/ik/step.py)
     unproven: int,  # the reason in place of REASON_IK_IN_COLLISION where branches are points of a line of solutions
     home_in: wp.array2d(dtype=float),  # (1, JOINTS)
+    from_home: int,  # 1: the object is in the gripper at home already
     # trials
     active_in: wp.array(dtype=wp.bool),  # (B,)
     valid_in: wp.array2d(dtype=wp.bool),  # (B, 8)
@@ -128,7 +129,7 @@ def choose_goal(
             blocker = found.pair
             blocking = wp.uint64(1) << wp.uint64(wp.max(wp.min(found.body, world.n_robot), 0))
         if slot < 0:
-            if found.status != FREE:
+            if from_home == 1 and found.status != FREE:
                 reason = REASON_START_IN_COLLISION
                 pair_out[trial] = found.pair
         elif found.status == FREE:

@@ -63,6 +63,8 @@ def judge_goals(
     ik: IkResult,
     branches: Bool[Tensor, "b 8"],
     active: Bool[Tensor, " b"],
+    *,
+    from_home: bool = True,
 ) -> Goal:
     """The goals of B handover poses whose IK is solved.
 
@@ -73,6 +75,8 @@ def judge_goals(
         ik: all branches.
         branches: (B, 8) those that may be used (`goals="one"`: one).
         active: (B,) rows to judge.
+        from_home: whether the way of the object begins at home, which then has to be free. What the arm picks from the table
+            it lifts elsewhere, and at home it holds nothing.
     """
     active, device = active.contiguous(), active.device
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
@@ -80,6 +84,7 @@ def judge_goals(
         world=body_poses.tables(scene),
         bodies=body_poses.bodies,
         home=home_posture(str(device), scene.config.workplace.home_q),
+        from_home=int(from_home),
         singular=int(STATUS_SINGULAR),
         unproven=int(PlanReason.NO_PATH_IN_BUDGET),
         active=active,

@@ -78,8 +78,9 @@ def postures_at(evaluator: Evaluator, trial: Trials, answer: Predictions) -> Pos
         alone = torch.eye(BRANCHES + 1, BRANCHES, dtype=torch.bool, device=scene.device)
         alone[-1] = True
         goal = judge_goals(
-            scene, held.planner_poses, held.T_world_ee, ik, branches & alone, held.active
-        )
+            scene, held.planner_poses, held.T_world_ee, ik, branches & alone, held.active,
+            from_home="pick" not in scene.benchmark.asks,
+        )  # fmt: skip
     parts, pieces = TrialNames.of(scene).parts, (*scene.hands.model.piece_names, *PIECES)
     reaches = branches[-1].cpu()
 

@@ -68,6 +68,16 @@ def test_answers_that_are_shipped_solve_their_trials_by_all_criteria(v3):
     assert known.known.all() and scores.success.all() and scores.criteria[-1] == "received"
 
 
+def test_the_pose_stage_refuses_no_shipped_answer(v3):
+    """What begins on the table is not in the gripper at home: held there, it would meet something in eight of the trials."""
+    own = v3.own_certified
+    answers = (torch.from_numpy(x) for x in (own.T_obj_ee, own.T_world_ee))
+    trials = v3.trials_with_ids(torch.from_numpy(own.trial_id))
+    scores = Evaluator(v3, KINEMATIC).score(*answers, trials, stages="pose")
+    column = scores.criteria.index("received")
+    assert scores.success.all() and not scores.evaluated[:, column].any()
+
+
 def test_trials_and_redraws_are_those_that_r2h_batch_0_3_drew(v3):
     """At commit 7d23856b, whose r2h-v3 asked for a criterion more, and whose trials beyond its file were drawn once."""
     now, v3 = v3, v3.drawn_before()
