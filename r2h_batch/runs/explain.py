@@ -60,6 +60,8 @@ MET = {
 """The second body of a pair: what Pick's reasons call something."""
 SHORT = ("ik_unreachable", "ik_not_found")
 """Reasons of Plan whose margin is how far the gripper stays from its target."""
+CALIBRATION_M = 0.002
+"""By so much a camera of cell-v1 stands elsewhere than is believed, each way (`observe.rig`). A pick with less room may touch."""
 LEAST = 0.05
 """Smaller margins are not printed as a number (mm, deg)."""
 ENTRIES = {entry.name: entry for entry in EVERY}
@@ -177,6 +179,15 @@ def _pick_pair(row: Mapping[str, Any]) -> str:
     return f"{words}, {body_name(str(part))}" if part else words
 
 
+def _close_pick(row: Mapping[str, Any]) -> str:
+    """Words for a pick that passes with less room than a camera's calibration errs by; empty of others."""
+    room = row.get("margin_pick_m")
+    if not row.get("passed_pick") or room is None or room >= CALIBRATION_M:
+        return ""
+    by = f" ({found})" if (found := _pick_pair(row)) else ""
+    return f"the pick has {1e3 * room:.1f} mm of room{by}, less than the {1e3 * CALIBRATION_M:g} mm that a calibration may err by"
+
+
 @dataclass(frozen=True)
 class Explanation:
     """Why one trial of one method passed or failed.
@@ -248,7 +259,9 @@ def explained(
 
 
 def _witness(row: Mapping[str, Any], criterion: str) -> str:
-    """Words for the place where the criterion is decided, as far as the row knows it."""
+    """Words for the place where the criterion is decided, as far as the row knows it; of a success what is nearly none."""
+    if not criterion:
+        return _close_pick(row)
     if criterion == "stability" and row.get("width_m") is not None:
         return f"the material between the pads, {1e3 * row['width_m']:.1f} mm along the closing direction"
     if criterion == "safe" and row.get("witness_safe_part"):

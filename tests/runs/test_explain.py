@@ -6,8 +6,9 @@ from made_runs import write_run
 
 from r2h_batch.__main__ import main
 from r2h_batch.config import PRESENTED_M
+from r2h_batch.observe.rig import load_rig
 from r2h_batch.runs import load_run
-from r2h_batch.runs.explain import explained, headline, presented_words
+from r2h_batch.runs.explain import CALIBRATION_M, explained, headline, presented_words
 from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA, Outcome
 
@@ -78,6 +79,14 @@ def test_what_presented_is_about_is_said_of_every_row_and_the_limit_of_what_fail
     assert presented_words({"split": "S1", "presented": True}) == ""  # a row of before
     failed = row("presented", -0.014, presented_margin_m=-0.014, presented_by="gripper", split="S0")
     assert explained(failed, "mine", LIMITS, "").witness.endswith("than the object; up to 7.5 cm is allowed")
+
+
+def test_a_pick_with_less_room_than_a_calibration_errs_by_is_named():
+    passed = {"trial_id": 7, "outcome": "success", "passed_pick": True, "pick_pair": "table", "pick_part": "left_pad_0"}
+    words = "the pick has 0.9 mm of room (robot and table, left pad), less than the 2 mm that a calibration may err by"
+    assert explained({**passed, "margin_pick_m": 0.0009}, "m", LIMITS, "").witness == words
+    assert explained({**passed, "margin_pick_m": 0.003}, "m", LIMITS, "").witness == ""
+    assert load_rig("cell-v1").sensor.calibration_m == CALIBRATION_M
 
 
 def test_what_is_kept_from_the_head_is_said_where_the_hand_is_not_meant():
