@@ -37,6 +37,30 @@ def keep(run: Path, rows: Path) -> None:
         (shutil.copytree if (run / part).is_dir() else shutil.copy)(run / part, rows / part)
 
 
+def thinned(run: Path, rows: Path, command: Sequence[str], kinds: Sequence[str] = ("poses",)) -> None:
+    """Writes the rows of a run again, a shard a method, with these kinds beside the trials.
+
+    Args:
+        run: a run folder, whole.
+        rows: the new one.
+        command: the sweep that makes such rows.
+        kinds: of `stored` in run.json.
+    """
+    from r2h_batch.runs.store import load_run
+    from r2h_batch.runs.writing import SHARD_TRIALS, open_run
+
+    shutil.rmtree(rows, ignore_errors=True)
+    whole = load_run(run)
+    header = {**whole.header, "stored": list(kinds), "shard_trials": SHARD_TRIALS, "command": list(command)}
+    folder = open_run(rows, header)
+    for entry in whole.entries:
+        folder.register(entry.name, entry.source)
+        for shard in folder.todo(entry.name):
+            tables = {kind: getattr(whole, kind)(entry.name) for kind in ("trials", *kinds)}
+            with folder.write(entry.name, shard) as writer:
+                writer.append(**tables)
+
+
 def rate_of(row: Mapping[str, Any]) -> str:
     """A table row's SR with the 95 % interval for the mean of all categories of objects, as README's Table I has it."""
     low, high = row["sr_new_categories_low"], row["sr_new_categories_high"]

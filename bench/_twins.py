@@ -13,10 +13,11 @@ from oracle import MujocoScene, Staged
 from people_twin import episode_of, reception_of
 from pick_twin import PickTwin
 from planning_twins import Checker, checker_of, dense, let_collide, motion_samples, ompl_solve, recheck, staged
+from presented_twin import again as presented_again
 from problems import Batch, Problems, make_batch, solve
 
 __all__ = [
     "Again", "AgainBelieved", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged",
     "checker_of", "dense", "episode_of", "grasp_cases", "let_collide", "make_batch", "motion_samples", "ompl_solve",
-    "oracle", "reception_of", "recheck", "solve", "staged", "winding_number",
+    "oracle", "presented_again", "reception_of", "recheck", "solve", "staged", "winding_number",
 ]  # fmt: skip

@@ -1,8 +1,8 @@
-"""The draft r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/r2h_v3.md.
+"""r2h-v3: built-in methods from the table to the hand, by the stage that fails first: docs/r2h_v3.md.
 
-`python bench/r2h_v3.py` sweeps `r2h-v3-draft` with the motion as planned (`--execute.sim none`), judges some rows again with
-other code, and takes the time of each part. `--trials 500 --seen-trials 500 --processes 2 --parts FOLDER` is for a night: it
-keeps what is done, and started again it goes on with what is missing.
+`python bench/r2h_v3.py` sweeps `r2h-v3` with the motion as planned (`--execute.sim none`), judges some rows again with
+other code, and takes the time of each part. `--trials 500 --seen-trials 500 --checked 30 --processes 2 --parts FOLDER --rows` is
+for a night: it keeps what is done, started again it goes on with what is missing, and it writes the rows that the package ships.
 """
 
 import argparse
@@ -22,8 +22,8 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from _report import Parts, Report, markdown_table, swept
-from _rows import over_categories, paired_over_categories, poses_of, rows_of
+from _report import ROOT, Parts, Report, markdown_table, swept
+from _rows import over_categories, paired_over_categories, poses_of, rows_of, thinned
 from _source import digests
 from run import Bench
 
@@ -45,7 +45,7 @@ MEASURES = (
     "r2h_batch/methods/oracle.py",
     "r2h_batch/observe/known.py",
     "r2h_batch/observe/moment.py",
-    "r2h_batch/trials/r2h_v3_draft.py",
+    "r2h_batch/trials/r2h_v3.py",
     "r2h_batch/scene/resting.py",
 )
 SEES = "cell-v1,region=told"
@@ -53,13 +53,15 @@ SEEING = ("robust", "fc", "handover-va", "contact", "intent", "learned", "random
 RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
 TRACKS: dict[str, tuple[str, ...]] = {
-    "truth": ("--method", *METHODS, "--save-paths"),
-    "seen": ("--sees", SEES, "--method", *SEEING, "--save-paths"),
+    "truth": ("--method", *METHODS),
+    "seen": ("--sees", SEES, "--method", *SEEING),
 }
 SHARD = 128
 """Trials that a process takes at a time, all methods of a track: those that see share what they look at."""
-CHECKED = 8
-"""Rows of each method that other code judges again."""
+SHIPPED = {"truth": "r2h-v3-as-planned", "seen": "r2h-v3-sees-cell-v1"}
+"""Track -> folder of its rows in the package (report/compare/rows)."""
+SAME_M = 1e-4
+"""Presented's margins that differ by less are the same."""
 TIMED = 128
 """Rows of each method whose parts are timed."""
 
@@ -84,9 +86,18 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             rooms = {mm: pool.submit(parts.get, f"room {mm}", partial(_room, home, mm)) for mm in ROOMS_MM}
             for track, piece in waiting:
                 spent[track] += piece.result()
-            checked = {t: pool.submit(parts.get, f"checked {t}", partial(_checked, home / t)) for t in TRACKS}
+            each = options.checked
+            checked = {
+                t: pool.submit(parts.get, f"checked {t} {each}", partial(_checked, home / t, each)) for t in TRACKS
+            }
             concurrent.futures.wait([*rooms.values(), *checked.values()])
         runs = {track: load_run(home / track) for track in TRACKS}
+        if options.rows:
+            trials = {"truth": options.trials, "seen": options.seen_trials}
+            for track, name in SHIPPED.items():
+                words = [*_line(track), "--trials", str(trials[track]), "--out", f"runs/{name}"]
+                rows = ROOT / "r2h_batch/report/compare/rows" / name
+                thinned(home / track, rows, ["python", "-m", "r2h_batch.sweep", *words])
         titles = dict(zip(SEEING, runs["seen"].methods, strict=True))
         return {
             "trials": options.trials,
@@ -103,14 +114,19 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
         }
 
 
+def _line(track: str) -> list[str]:
+    """The sweep of a track, without the number of its trials."""
+    return ["--benchmark", "r2h-v3", *TRACKS[track], "--execute.sim", "none"]
+
+
 def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
     """One shard of a track's trials, all methods; the process seconds that it took, which are kept."""
     kept = home / f"{track}-{k}.seconds"
     before = float(kept.read_text()) if kept.exists() else 0.0
     begin = time.process_time()
     piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
-    more = ("--trials", trials, "--execute.sim", "none", "--threads", 1, "--quiet", *piece)
-    swept(home / track, "--benchmark", "r2h-v3-draft", *TRACKS[track], *more)
+    more = ("--trials", trials, "--save-paths", "--threads", 1, "--quiet", *piece)
+    swept(home / track, *_line(track), *more)
     spent = before + time.process_time() - begin
     kept.write_text(repr(spent))
     print(f"{track}, shard {k + 1} of {shards}: {spent:.0f} CPU s", flush=True)
@@ -131,17 +147,18 @@ def _about(run: Any, name: str) -> dict[str, Any]:
     }
 
 
-def _checked(folder: Path) -> list[dict[str, Any]]:
-    """Some rows of each method, and the verdict of other code on them."""
+def _checked(folder: Path, each: int) -> list[dict[str, Any]]:
+    """So many rows of each method, and the verdict of other code on them."""
     from dataclasses import fields
 
-    from _twins import Again, AgainBelieved, PickTwin, reception_of
+    from _twins import Again, AgainBelieved, PickTwin, presented_again, reception_of
 
     from r2h_batch.judge.pick import Picked
     from r2h_batch.judge.reception import reception
     from r2h_batch.observe import moments
     from r2h_batch.runs.store import load_run
     from r2h_batch.sweep.results.judge import Judge
+    from r2h_batch.types import Predictions
 
     run = load_run(folder)
     judge = Judge(run)
@@ -150,12 +167,13 @@ def _checked(folder: Path) -> list[dict[str, Any]]:
     checked: list[dict[str, Any]] = []
     for name in run.methods:
         columns = rows_of(run, name)
-        ids = list(columns)[:: max(len(columns) // CHECKED, 1)][:CHECKED]
+        ids = list(columns)[:: max(len(columns) // each, 1)][:each]
         trials = judge.trials(ids)
         grasp, pose = poses_of([columns[i] for i in ids])
         rest = moments(scene, trials)
         found = judge.evaluator.picks(grasp, pose, trials)
-        people = reception(judge.evaluator.score(grasp, pose, trials))
+        scores = judge.evaluator.score(grasp, pose, trials)
+        people, answers = reception(scores), Predictions(trials.trial_id, grasp, pose)
         for k, i in enumerate(ids):
             row = columns[i]
             own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
@@ -169,6 +187,10 @@ def _checked(folder: Path) -> list[dict[str, Any]]:
                 T_world_rest=rest[k],
             )  # fmt: skip
             others = [f.name for f in twin.findings() if not f.holds]
+            if (said := row["passed_presented"]) is not None:
+                first = presented_again(scene, trials, answers, scores, k).margin
+                away = abs(first - row["margin_presented_m"]) > SAME_M
+                others += ["presented"] if away or (said != (first >= 0) and abs(first) > SAME_M) else []
             if row["passed_received"] is not None:
                 others += [f.name for f in reception_of(twin, people, k) if not f.holds]
                 if bool(people.received[k]) != row["passed_received"]:
@@ -179,6 +201,7 @@ def _checked(folder: Path) -> list[dict[str, Any]]:
                     "trial": i,
                     "picked": bool(own.picked),
                     "carried": bool(row.get("q")),
+                    "presented": bool(row["passed_presented"]),
                     "received": bool(row["passed_received"]),
                     "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
                 }
@@ -210,19 +233,19 @@ def _room(home: Path, mm: int) -> dict[str, int]:
         "none",
     )
     with mock.patch.object(believed_world, "ROOM_M", 1e-3 * mm):
-        folder = swept(home / f"room-{mm}", "--benchmark", "r2h-v3-draft", *words, "--threads", 1, "--quiet")
+        folder = swept(home / f"room-{mm}", "--benchmark", "r2h-v3", *words, "--threads", 1, "--quiet")
     run = load_run(folder)
     return dict(Counter(run.trials(run.methods[0])["outcome"].to_pylist()))
 
 
 TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "none": ((), "all"),
-    "present": (("pick",), "all"),
-    "received": (("pick", "received"), "all"),
+    "present": (("pick", "presented"), "all"),
+    "received": (("pick", "presented", "received"), "all"),
     "pose_none": ((), "pose"),
-    "pose": (("pick",), "pose"),
+    "pose": (("pick", "presented"), "pose"),
 }
-"""Calls that are timed beside drawing a moment: the criteria that the draft asks for, and the stages."""
+"""Calls that are timed beside drawing a moment: the criteria that r2h-v3 asks for, and the stages."""
 WARM, ROUNDS = 4, 3
 """Calls before the clock counts: the first compiles and caches, the next ones record small calls."""
 
@@ -252,9 +275,9 @@ def _cost(run: Any) -> dict[str, float]:
         return 1e3 * statistics.median(spent[WARM:]) / len(rows)
 
     found: dict[str, float] = {}
-    draft = named_benchmark("r2h-v3-draft")
+    v3 = named_benchmark("r2h-v3")
     for name, (asks, stages) in TIMES.items():
-        benchmark = replace(draft, asks=asks)
+        benchmark = replace(v3, asks=asks)
         evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
         trials = benchmark.trials_with_ids(ids)
         found[name] = timed(partial(evaluator.score, grasp, pose, trials, stages))
@@ -265,7 +288,7 @@ def _cost(run: Any) -> dict[str, float]:
 
 def _until_safe(row: dict[str, Any]) -> dict[str, Any]:
     """The outcome of a row by the criteria that the twin knows: what fails behind Safe has passed all of them."""
-    return {"outcome": "success"} if row["outcome"] == "received" else {}
+    return {"outcome": "success"} if row["outcome"] in ("presented", "received") else {}
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
@@ -281,7 +304,7 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     ms = data["ms"]
     cost = [
         ["a kinematic trial (`--execute.sim none`, five criteria)", f"{ms['none']:.2f}"],
-        ["with Pick, and the carry in place of the path from home", f"{ms['present']:.2f}"],
+        ["with Pick and Presented, and the carry in place of the path from home", f"{ms['present']:.2f}"],
         ["and the reception of what got so far", f"{ms['received']:.1f}"],
     ]
     every_outcome = {o for of in (methods, data["seen"]) for m in of.values() for o in m["outcomes"]}
@@ -315,8 +338,8 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     ]
     failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
     cost += [
-        ["the pose stage without Pick", f"{ms['pose_none']:.3f}"],
-        ["the pose stage with Pick", f"{ms['pose']:.3f}"],
+        ["the pose stage of the five criteria", f"{ms['pose_none']:.3f}"],
+        ["with Pick and Presented", f"{ms['pose']:.3f}"],
     ]
     reasons = list(dict.fromkeys(r for m in methods.values() for r in sorted(m["reasons"], key=m["reasons"].get)[::-1]))
     causes = [
@@ -390,10 +413,10 @@ def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str
 
 
 def _kinds(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Split and category of the first `n` trials of the draft."""
+    """Split and category of the first `n` trials of r2h-v3."""
     from r2h_batch import load_benchmark
 
-    names = load_benchmark("r2h-v3-draft").trials_with_ids(torch.arange(n)).object_names
+    names = load_benchmark("r2h-v3").trials_with_ids(torch.arange(n)).object_names
     return np.array(["S0", "S1"])[np.arange(n) % 2], np.array([name.rpartition("_")[0] for name in names])
 
 
@@ -448,8 +471,8 @@ def certified_trials() -> tuple[Any, list[str]]:
     from r2h_batch import load_benchmark
     from r2h_batch.trials.certified import load_certified
 
-    known = load_certified("r2h-v3-draft")
-    first = replace(load_benchmark("r2h-v3-draft"), certified=None)
+    known = load_certified("r2h-v3")
+    first = replace(load_benchmark("r2h-v3"), certified=None)
     return known, first.trials_with_ids(torch.from_numpy(known.trial_id)).object_names
 
 
@@ -460,6 +483,8 @@ BENCH = Bench(
     {
         "--trials": {"default": 100, "help": "of each split, told the truth"},
         "--seen-trials": {"default": 20, "help": "of each split of the seeing track"},
+        "--checked": {"default": 8, "help": "rows of each method that other code judges again"},
+        "--rows": {"action": "store_true", "help": "write the rows that the package ships"},
         "--processes": {"default": 2},
         "--parts": {"type": Path, "help": "folder where rows and finished parts are kept: a stopped bench goes on"},
     },
