@@ -50,6 +50,7 @@ MEASURES = (
 )
 SEES = "cell-v1,region=told"
 SEEING = ("robust", "fc", "handover-va", "contact", "intent", "learned", "random")
+BOUNDS = ("random", "oracle", "robust")
 RULES = ("fc", "handover-va", "contact", "intent")
 METHODS = ("random", "oracle", "fc", "handover-va", "contact", "intent", "learned")
 TRACKS: dict[str, tuple[str, ...]] = {
@@ -110,6 +111,7 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             "seen": {name: _about(runs["seen"], name) for name in runs["seen"].methods},
             "robust": titles["robust"],
             "rules": [titles[m] for m in RULES],
+            "pairs": {t: _pairs(runs[t]) for t in TRACKS},
             "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
         }
 
@@ -145,6 +147,18 @@ def _about(run: Any, name: str) -> dict[str, Any]:
         "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
         "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
     }
+
+
+def _pairs(run: Any) -> list[dict[str, Any]]:
+    """Whom the paired tests of all trials tell apart, with Holm's correction; bounds are left out."""
+    from r2h_batch.report.statistics.paired import compare, pair_up
+
+    methods = run.only([m for m in run.methods if not m.lower().startswith(BOUNDS)])
+    (whole,) = [c for c in compare(pair_up([methods]), draws=1) if c.group == "all"]
+    return [
+        {"a": p.a, "b": p.b, "difference": p.difference, "p": p.p_holm, "p_new": p.p_new_holm, "verdict": p.verdict}
+        for p in whole.pairs
+    ]
 
 
 def _checked(folder: Path, each: int) -> list[dict[str, Any]]:
