@@ -44,7 +44,7 @@ def numbers() -> dict[str, list[str]]:
             v3.digest,
             f"**{order}**",
             f"keep {n(v3.head_clearance_m, 1e2)} cm from the head",
-            f"from {n(straight_way.WAY_M, 1e2)} cm before the grasp; the way up is straight along the vertical, "
+            f"from {n(straight_way.WAY_M, 1e2)} cm before the grasp, and lifts the object straight up by "
             f"{n(straight_way.WAY_M, 1e2)} cm",
             f"every {spaced[0]} mm of a way; a branch that does not follow is tried at {spaced[1]} mm, then at {spaced[2]} mm",
             f"turns more than {n(straight_way.MOST_TURN_RAD)} rad",
