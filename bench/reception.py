@@ -129,7 +129,7 @@ def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
     arms = steps._arms(batch, steps.LEANS_DEG)
     passes = torch.zeros((*arms["effort"].shape, len(steps.STEPS)), dtype=torch.bool)
     passes[..., 0], passes[..., 5] = arms["effort"] >= 0, True
-    way = steps._come(batch, arms, passes)
+    way, _ = steps._come(batch, arms, passes)
     steps._beside_robot(batch, arms, passes)
     steps._let_go(batch, arms, passes)
     taken = passes.all(2)[0]

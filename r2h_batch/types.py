@@ -545,9 +545,10 @@ class GivenScores(PickedScores):
     """Verdicts of a benchmark that asks for Received too.
 
     Attributes:
-        receives: `ReceiveReason`, and how many receiving grasps pass every step; -1: not judged.
+        receives: `ReceiveReason`, how many receiving grasps pass every step, and the `Room` that the margin is of; -1: not
+            judged, or (the room) not received.
     """
 
-    receives: Int32[Tensor, "b 2"]
+    receives: Int32[Tensor, "b 3"]
 
     own_asks: ClassVar[tuple[str, ...]] = ("pick", "received")

@@ -382,6 +382,20 @@ class Nearer(IntEnum):
     SHARP = 2
 
 
+class Room(IntEnum):
+    """What is left free where a person takes the object (`judge.reception`): the least is Received's margin."""
+
+    HAND = 0
+    """Of hand and gripper: at the grasp beyond 0.5 mm, on the way there to touching."""
+    BODY = 1
+    """Of arm, torso and head beside the robot, and of the head beside the object: at the grasp beyond 0.1 mm, on the way there
+    to touching."""
+    REACH = 2
+    """How much longer the arm is than it is stretched at the grasp."""
+    JOINTS = 3
+    """How far forearm, elbow and wrist are within their ranges there."""
+
+
 class ReceiveReason(IntEnum):
     """Why nobody can take the object: the step of reception that the last of the receiving grasps fails
     (`judge.reception.STEPS`). WHOLE_WAY: the hand has no free way to any that passes them. NO_GRASP: none is known for

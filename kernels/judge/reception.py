@@ -12,7 +12,7 @@ from r2h_batch.kernels.geometry.closest import from_segment
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.shape import BOX, CAPSULE, Shape
 from r2h_batch.kernels.geometry.surface import inverse_pose
-from r2h_batch.kernels.methods.hand_clearance import PosedHands, gripper_distance
+from r2h_batch.kernels.methods.hand_clearance import PosedHands, gripper_distance, gripper_overlap
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.kernels.receiver.grasps import Receiving, about_axis, unit, way_direction
 from r2h_batch.kernels.robot.gripper import Gripper, drive_from_gap
@@ -54,6 +54,8 @@ TAN_ULNAR, TAN_RADIAL = wp.constant(0.57736), wp.constant(0.36398)
 MOST_FLEXED, MOST_EXTENDED = wp.constant(-0.98482), wp.constant(0.93971)
 LEAST_INWARDS = wp.constant(0.030150)
 """Just beyond -sin 80, sin 70 and cos^2 80 degrees."""
+PALM_M = wp.constant(0.10)
+"""From the wrist to about the middle of the palm: how far angles of forearm and wrist move it [choice]."""
 HEAD = wp.constant(3)
 """The last limb: forearm, upper arm, torso, head."""
 FOREARM_POINTS = wp.constant(9)
@@ -67,6 +69,10 @@ NEAR_M = wp.constant(0.03)
 FAR_M = wp.constant(0.05)
 """Distances are computed up to these: to know whether bodies meet, for a step of a straight end, for one of the whole way."""
 MOST_STEPS = wp.constant(256)
+LEAST_STEP = wp.constant(1.0 / 1024.0)
+"""Of the way's parameter, where its rooms are measured."""
+MOST_MEASURED = wp.constant(2050)
+"""Steps that lead from 0 over 1 to 2, all of them the least."""
 
 
 @wp.struct
@@ -295,6 +301,84 @@ def within_ranges(a: vec7):
     )
 
 
+@wp.func
+def beyond_ranges(a: vec7, lower: float):
+    """How far (m) an arm's joint is beyond its range, of the worst one; below 0: all are within. An angle counts as the way
+    of what it moves: the wrist by the elbow, the palm by forearm and wrist."""
+    most = (a[2] - ELBOW_DEG) * lower
+    most = wp.max(most, (wp.abs(a[3]) - TURN_DEG) * PALM_M)
+    most = wp.max(most, wp.max(a[4] - FLEXION_DEG, -EXTENSION_DEG - a[4]) * PALM_M)
+    most = wp.max(most, wp.max(a[5] - ULNAR_DEG, -RADIAL_DEG - a[5]) * PALM_M)
+    return wp.radians(most)
+
+
+@wp.kernel
+def arm_rooms(
+    first: int, receiver: wp.array2d(dtype=wp.vec4), trial_in: wp.array(dtype=int), angles_in: wp.array(dtype=vec7),
+    rooms_out: wp.array(dtype=wp.vec2),
+):  # fmt: skip
+    """By how much (m) the arm of each pair's posture is longer than it is stretched, and its joints are within their ranges."""
+    pair = first + wp.tid()
+    arm = leaned(receiver, trial_in[pair], 0.0)
+    upper = wp.length(arm.elbow - arm.shoulder)
+    lower = wp.length(arm.wrist - arm.elbow)
+    a = angles_in[pair]
+    _, bent = sin_cos(wp.radians(a[2]))
+    stretched = wp.sqrt(upper * upper + lower * lower + 2.0 * upper * lower * bent)
+    # upper + lower - stretched, of which float32 leaves little where the arm is nearly straight
+    half_sine, _ = sin_cos(wp.radians(0.5 * a[2]))
+    longer = 4.0 * upper * lower * half_sine * half_sine / (upper + lower + stretched)
+    rooms_out[pair] = wp.vec2(longer, -beyond_ranges(a, lower))
+
+
+@wp.kernel
+def short_of_reach(
+    first: int,
+    grasps: Receiving, lean_in: wp.array(dtype=float),
+    asked_in: wp.array(dtype=wp.bool), row_in: wp.array(dtype=int), count_in: wp.array(dtype=int),
+    object_in: wp.array(dtype=int), outwards_in: wp.array(dtype=float), T_world_obj_in: wp.array(dtype=wp.mat44),
+    receiver_in: wp.array2d(dtype=wp.vec4), turn_in: wp.array2d(dtype=float),
+    short_out: wp.array2d(dtype=float),
+):  # fmt: skip
+    """What the arm lacks (m) of grasp k of each trial that is asked: of the posture that lacks least, of those leans and
+    swivels that `reach_with_arm` tries and whose forearm does not pass through the torso. Too far away, or too near the
+    shoulder: by how much; else how far a joint is beyond its range."""
+    i, k = wp.tid()
+    trial = first + i
+    least = float(1.0e30)
+    if asked_in[trial] and k < count_in[trial]:
+        row = row_in[trial] + k
+        R_turn, p_turn = about_axis(grasps, object_in[trial], turn_in[trial, k])
+        R = rotation(T_world_obj_in[trial]) * R_turn
+        wrist = R * grasps.wrist[row] + rotation(T_world_obj_in[trial]) * p_turn + position(T_world_obj_in[trial])
+        waiting = leaned(receiver_in, trial, 0.0)
+        upper = wp.length(waiting.elbow - waiting.shoulder)
+        lower = wp.length(waiting.wrist - waiting.elbow)
+        for j in range(lean_in.shape[0]):
+            arm = leaned(receiver_in, trial, lean_in[j])
+            arm.wrist = wrist
+            to = wrist - arm.shoulder
+            r = wp.length(to)
+            apart = wp.max(r - (upper + lower), wp.abs(upper - lower) - r)
+            if apart >= 0.0:
+                least = wp.min(least, apart)
+            else:
+                to = to / r
+                middle = (upper * upper - lower * lower + r * r) / (2.0 * r)
+                offset = wp.sqrt(wp.max(upper * upper - middle * middle, 0.0))
+                down = wp.vec3(0.0, 0.0, -1.0)
+                hanging = unit(down - wp.dot(down, to) * to)
+                aside = outwards_in[trial] * wp.cross(to, hanging)
+                for swivel in range(SWIVELS):
+                    s, c = sin_cos(wp.radians(float(SWIVEL_LOW + SWIVEL_STEP * swivel)))
+                    arm.elbow = arm.shoulder + middle * to + offset * (c * hanging + s * aside)
+                    a = arm_angles(arm, outwards_in[trial], R * grasps.along[row], R * grasps.normal[row])
+                    beyond = wp.max(beyond_ranges(a, lower), 0.0)
+                    if beyond < least and not crosses_torso(arm):
+                        least = beyond
+    short_out[trial, k] = least
+
+
 @wp.kernel
 def reach_with_arm(
     first: int,
@@ -377,12 +461,12 @@ def reach_with_arm(
 
 
 @wp.func
-def straight_is_free(
+def free_straight(
     gripper: Gripper, hands: PosedHands, row: int, R: wp.mat33, p: wp.vec3, drive: float, step: wp.vec3, eps: float,
     begin: float,
 ):  # fmt: skip
-    """Whether gripper and hand keep more than `eps` while the hand goes by `step` per metre, ee frame, over WAY_M; `begin`:
-    their distance before, up to NEAR_M.
+    """How far (m) gripper and hand keep more than `eps` while the hand goes by `step` per metre, ee frame: WAY_M or more is
+    the whole way; `begin`: their distance before, up to NEAR_M.
 
     Certified: no point moves farther than the parameter, so nothing meets within a distance that was measured.
     """
@@ -390,12 +474,12 @@ def straight_is_free(
     d = float(begin)
     for _ in range(MOST_STEPS):
         if d <= eps:
-            return False
+            break
         s += d
         if s >= WAY_M:
-            return True
+            break
         d = gripper_distance(gripper, hands, row, R, p + s * step, drive, NEAR_M)
-    return False
+    return s
 
 
 @wp.func
@@ -416,24 +500,47 @@ def come_to_object(
     attached_in: wp.array(dtype=wp.mat44),  # of each pair's trial, as are the openings
     opening_in: wp.array(dtype=float),
     # out
-    free_out: wp.array(dtype=wp.bool), way_out: wp.array(dtype=int),
+    free_out: wp.array(dtype=wp.bool), way_out: wp.array(dtype=int), far_out: wp.array(dtype=float),
 ):  # fmt: skip
-    """Whether each pair's hand is clear of the closed gripper, and the first direction from which it can come; -1: none."""
+    """Whether each pair's hand is clear of the closed gripper, the first direction from which it can come (-1: none), and the
+    farthest (m) that one of those before it is free, from the grasp on."""
     pair = first + wp.tid()
     row = row_in[pair]
     R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
     drive = drive_from_gap(gripper, opening_in[pair])
     way = int(-1)
+    far = float(0.0)
     free = gripper_distance(gripper, hands, row, R, p, drive, eps + 1.0e-4) > eps
     if free:
         begin = gripper_distance(gripper, hands, row, R, p, drive, NEAR_M)
         for which in range(WAYS):
             if way < 0:
                 step = -(R * way_direction(grasps, row, which))
-                if straight_is_free(gripper, hands, row, R, p, drive, step, eps, begin):
+                along = free_straight(gripper, hands, row, R, p, drive, step, eps, begin)
+                far = wp.max(far, along)
+                if along >= WAY_M:
                     way = which
     free_out[pair] = free
     way_out[pair] = way
+    far_out[pair] = far
+
+
+@wp.kernel
+def overlap_of_hand(
+    first: int, gripper: Gripper, hands: PosedHands, grasps: Receiving, eps: float,
+    row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float), object_in: wp.array(dtype=int),
+    attached_in: wp.array(dtype=wp.mat44), opening_in: wp.array(dtype=float),
+    room_out: wp.array(dtype=float),
+):  # fmt: skip
+    """The room (m) beyond `eps` between each pair's hand and the closed gripper, where `come_to_object` finds none: 0 at most,
+    and lower by how deep they meet."""
+    pair = first + wp.tid()
+    R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
+    drive = drive_from_gap(gripper, opening_in[pair])
+    d = gripper_distance(gripper, hands, row_in[pair], R, p, drive, eps)
+    if d <= 0.0:
+        d = gripper_overlap(gripper, hands, row_in[pair], R, p, drive)
+    room_out[pair] = d - eps
 
 
 @wp.kernel
@@ -441,24 +548,26 @@ def let_go(
     first: int, gripper: Gripper, hands: PosedHands, grasps: Receiving, eps: float, open_gap: float,
     row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float), object_in: wp.array(dtype=int),
     attached_in: wp.array(dtype=wp.mat44), opening_in: wp.array(dtype=float),
-    release_out: wp.array(dtype=wp.bool),
+    back_out: wp.array(dtype=float),
 ):  # fmt: skip
-    """Whether, with the object in each pair's hand, the fingers can open (looked at in three openings) and back off."""
+    """How far (m) the fingers can back off with the object in each pair's hand, once they have opened (looked at in three
+    openings): WAY_M or more is all that is asked; 0: they cannot open."""
     pair = first + wp.tid()
     row = row_in[pair]
     R, p = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
     gap = opening_in[pair]
-    release = bool(True)
+    opens = bool(True)
     for k in range(2):  # the third is where the gripper begins to back off
         wider = drive_from_gap(gripper, gap + (open_gap - gap) * float(k + 1) / 3.0)
-        if release and gripper_distance(gripper, hands, row, R, p, wider, eps + 1.0e-4) <= eps:
-            release = bool(False)
-    if release:
+        if opens and gripper_distance(gripper, hands, row, R, p, wider, eps + 1.0e-4) <= eps:
+            opens = bool(False)
+    back = float(0.0)
+    if opens:
         # the gripper backs off along its -z: seen from it, the hand goes along z
         opened = drive_from_gap(gripper, open_gap)
         begin = gripper_distance(gripper, hands, row, R, p, opened, NEAR_M)
-        release = straight_is_free(gripper, hands, row, R, p, opened, wp.vec3(0.0, 0.0, 1.0), eps, begin)
-    release_out[pair] = release
+        back = free_straight(gripper, hands, row, R, p, opened, wp.vec3(0.0, 0.0, 1.0), eps, begin)
+    back_out[pair] = back
 
 
 @wp.func
@@ -508,12 +617,22 @@ def limb_shape(arm: Arm, limb: int):
 
 
 @wp.func
+def above_floor(lower: float, upper: float, floor: float):
+    """A distance by its bounds: below 0 the upper one, which is no deeper than bodies meet."""
+    d = wp.max(lower, 0.0)
+    if floor < 0.0 and lower < 0.0:
+        d = wp.max(wp.min(upper, 0.0), floor)
+    return d
+
+
+@wp.func
 def arm_distance(
     world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), arm: Arm,
-    cap: float,
+    cap: float, floor: float,
 ):  # fmt: skip
     """Distance (m) of the robot (without the object) from forearm, upper arm, torso and head, all in the world's hand frame:
-    `cap` at most, 0 where they meet. R, p: the links' frames (`forward_kinematics`)."""
+    `cap` at most. Where they meet it is 0, or with a `floor` below 0 minus how deep, as far as radii tell. R, p: the links'
+    frames (`forward_kinematics`)."""
     best = float(cap)
     none = wp.vec3(0.0, 0.0, 0.0)
     for link in range(GRIPPER + 1):
@@ -521,25 +640,25 @@ def arm_distance(
         l0 = R[k] * world.link_c0[link] + p[k]
         l1 = R[k] * world.link_c1[link] + p[k]
         for limb in range(HEAD + 1):
-            if best > 0.0 and limb_gap(arm, limb, l0, l1) - world.link_radius[link] < best:
+            if best > floor and limb_gap(arm, limb, l0, l1) - world.link_radius[link] < best:
                 other, frame, middle = limb_shape(arm, limb)
                 inverse = wp.transpose(frame)
                 for b in range(world.link_first[link], world.link_first[link + 1]):
                     Rb, pb = body_pose(world, bodies, trial, R, p, b)
                     axis = Rb * world.cap_axis[b]
-                    if best > 0.0 and limb_gap(arm, limb, pb - axis, pb + axis) - world.cap_radius[b] < best:
+                    if best > floor and limb_gap(arm, limb, pb - axis, pb + axis) - world.cap_radius[b] < best:
                         d = gjk(
                             robot_shape(world, b), inverse * Rb, inverse * (pb - middle), world.points,
                             other, world.points, none, best, 0.0,
                         )  # fmt: skip
-                        best = wp.min(best, wp.max(d.lower, 0.0))
+                        best = wp.min(best, above_floor(d.lower, d.upper, floor))
     return best
 
 
 @wp.func
 def head_distance(
     world: World, bodies: TrialBodies, trial: int, R: wp.array(dtype=wp.mat33), p: wp.array(dtype=wp.vec3), arm: Arm,
-    cap: float,
+    cap: float, floor: float,
 ):  # fmt: skip
     """Distance (m) of the head from the object in the gripper, whose hulls are those of planning; as of `arm_distance`."""
     best = float(cap)
@@ -551,12 +670,12 @@ def head_distance(
     for hull in range(world.hull_first[obj], world.hull_first[obj + 1]):
         c0 = Rb * world.hull_c0[hull] + pb
         c1 = Rb * world.hull_c1[hull] + pb
-        if best > 0.0 and limb_gap(arm, HEAD, c0, c1) - world.hull_radius[hull] < best:
+        if best > floor and limb_gap(arm, HEAD, c0, c1) - world.hull_radius[hull] < best:
             d = gjk(
                 object_shape(world, hull), inverse * Rb, inverse * (pb - middle), world.points,
                 other, world.points, none, best, 0.0,
             )  # fmt: skip
-            best = wp.min(best, wp.max(d.lower, 0.0))
+            best = wp.min(best, above_floor(d.lower, d.upper, floor))
     return best
 
 
@@ -589,8 +708,142 @@ def arm_clears_robot(
     arm.elbow = elbow_in[pair]
     arm.wrist = wrist_in[pair]
     arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
-    clear = head_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
-    clear_out[pair] = clear and arm_distance(world, bodies, trial, R, p, arm, TOUCH_M) > 0.0
+    clear = head_distance(world, bodies, trial, R, p, arm, TOUCH_M, 0.0) > 0.0
+    clear_out[pair] = clear and arm_distance(world, bodies, trial, R, p, arm, TOUCH_M, 0.0) > 0.0
+
+
+@wp.kernel
+def overlap_of_person(
+    first: int, world: World, bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4),
+    q: wp.array(dtype=vecq), trial_in: wp.array(dtype=int), lean_in: wp.array(dtype=float), elbow_in: wp.array(dtype=wp.vec3),
+    wrist_in: wp.array(dtype=wp.vec3), room_out: wp.array(dtype=float),
+):  # fmt: skip
+    """Minus how deep (m) the robot and each pair's arm, torso and head meet, or the object and the head."""
+    pair = first + wp.tid()
+    trial = trial_in[pair]
+    R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
+    arm = leaned_with_head(receiver, head, trial, lean_in[pair])
+    arm.elbow = elbow_in[pair]
+    arm.wrist = wrist_in[pair]
+    arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
+    room = head_distance(world, bodies, trial, R, p, arm, TOUCH_M, -1.0)
+    room_out[pair] = wp.min(arm_distance(world, bodies, trial, R, p, arm, room, -1.0), 0.0)
+
+
+@wp.struct
+class Way:
+    """How hand and arm go from where they wait to a grasp. The wrist's places are in the turned object's frame.
+
+    The wrist goes straight to 10 cm before the grasp while the hand turns about one axis, then straight in (`way_direction`);
+    elbow, shoulder and lean go in proportion. The hand has the grasp's shape all the way. The parameter t is 0 where the hand
+    waits, 1 before the grasp, 2 there.
+    """
+
+    trial: int
+    row: int
+    R_world: wp.mat33  # from the turned object's frame
+    p_world: wp.vec3
+    R_ee: wp.mat33
+    p_ee: wp.vec3
+    drive: float
+    waits: wp.vec3
+    before: wp.vec3
+    target: wp.vec3
+    axis: wp.vec3  # from the waiting hand's orientation to the grasp's
+    angle: float
+    size: float  # of the hand, from the wrist
+    lean: float
+    elbow_waits: wp.vec3
+    elbow: wp.vec3
+    joints: float  # no point of shoulder, elbow and trunk goes farther per unit of t
+
+
+@wp.func
+def way_of(
+    hands: PosedHands, grasps: Receiving, gripper: Gripper, receiver: wp.array2d(dtype=wp.vec4),
+    head: wp.array2d(dtype=wp.vec4), trial: int, row: int, turn: float, which: int, obj: int, attached: wp.mat44,
+    opening: float, T_world_obj: wp.mat44, T_world_hand: wp.mat44, lean: float, elbow: wp.vec3,
+) -> Way:  # fmt: skip
+    way = Way()
+    way.trial = trial
+    way.row = row
+    R_turn, p_turn = about_axis(grasps, obj, turn)
+    way.R_world = rotation(T_world_obj) * R_turn
+    way.p_world = rotation(T_world_obj) * p_turn + position(T_world_obj)
+    R_ee, p_ee = in_turned_object(grasps, obj, turn, attached)
+    way.R_ee = R_ee
+    way.p_ee = p_ee
+    way.drive = drive_from_gap(gripper, opening)
+
+    start = leaned(receiver, trial, 0.0)
+    goal = leaned_with_head(receiver, head, trial, lean)
+    way.lean = lean
+    way.elbow_waits = start.elbow
+    way.elbow = elbow
+    way.target = grasps.wrist[row]
+    way.before = way.target + WAY_M * way_direction(grasps, row, which) * -1.0
+    way.waits = wp.transpose(way.R_world) * (start.wrist - way.p_world)
+    R_waits = wp.transpose(way.R_world) * rotation(T_world_hand)
+    axis, angle = wp.quat_to_axis_angle(wp.quat_from_matrix(grasps.R[row] * wp.transpose(R_waits)))
+    if angle > 3.141592653589793:
+        angle = 6.283185307179586 - angle
+        axis = -axis
+    way.axis = axis
+    way.angle = angle
+    size = float(0.0)
+    for piece in range(hands.n_pieces):
+        ball = hands.ball[row * hands.n_pieces + piece]
+        size = wp.max(size, wp.length(wp.vec3(ball[0], ball[1], ball[2]) - way.target) + ball[3])
+    way.size = size
+
+    # no point of trunk and head is farther from the hip, about which they turn
+    hip = goal.torso - goal.axes * wp.vec3(0.0, 0.0, goal.half[2])
+    top = wp.max(wp.length(goal.chin - hip), wp.length(goal.crown - hip)) + goal.head_radius
+    trunk = wp.radians(lean) * wp.max(2.0 * goal.half[2] + wp.length(goal.half), top)
+    way.joints = 0.5 * wp.max(wp.max(wp.length(goal.shoulder - start.shoulder), wp.length(elbow - start.elbow)), trunk)
+    return way
+
+
+@wp.func
+def speeds_on_way(way: Way, t: float) -> wp.vec2:
+    """The farthest (m) that a point of the hand, and of arm, trunk and head, goes per unit of t; both change at 1."""
+    travel = WAY_M
+    if t < 1.0:
+        travel = wp.length(way.before - way.waits)
+    speed = travel + wp.where(t < 1.0, way.angle * way.size, 0.0)
+    return wp.vec2(wp.max(speed, 1.0e-6), wp.max(wp.max(way.joints, travel), 1.0e-6))
+
+
+@wp.func
+def farther_on_way(way: Way, t: float, d: float, e: float):
+    """Where the hand has gone at most `d` from t on, and the body `e`; both speeds change at 1."""
+    speeds = speeds_on_way(way, t)
+    return wp.min(t + wp.min(d / speeds[0], e / speeds[1]), wp.where(t < 1.0, 1.0, 2.0))
+
+
+@wp.func
+def gaps_on_way(
+    world: World, bodies: TrialBodies, gripper: Gripper, hands: PosedHands, receiver: wp.array2d(dtype=wp.vec4),
+    head: wp.array2d(dtype=wp.vec4), links: wp.array(dtype=wp.mat33), origins: wp.array(dtype=wp.vec3), way: Way, t: float,
+) -> wp.vec2:  # fmt: skip
+    """Distances (m, up to FAR_M) at t: of hand and gripper; and of arm, torso and head from the robot, or of head and object."""
+    wrist = way.before + (t - 1.0) * (way.target - way.before)
+    turn_left = float(0.0)
+    if t < 1.0:
+        wrist = way.waits + t * (way.before - way.waits)
+        turn_left = 1.0 - t
+    R_back = wp.quat_to_matrix(wp.quat_from_axis_angle(way.axis, -turn_left * way.angle))
+    d = gripper_distance(
+        gripper, hands, way.row, way.R_ee * R_back, way.R_ee * (wrist - R_back * way.target) + way.p_ee, way.drive, FAR_M,
+    )  # fmt: skip
+    arm = leaned_with_head(receiver, head, way.trial, 0.5 * t * way.lean)
+    arm.elbow = way.elbow_waits + 0.5 * t * (way.elbow - way.elbow_waits)
+    arm.wrist = way.R_world * wrist + way.p_world
+    arm = into_hand_frame(arm, bodies.R_hand_world[way.trial], bodies.p_hand_world[way.trial])
+    e = arm_distance(world, bodies, way.trial, links, origins, arm, FAR_M, 0.0)
+    return wp.vec2(d, wp.min(e, head_distance(world, bodies, way.trial, links, origins, arm, FAR_M, 0.0)))
 
 
 @wp.kernel
@@ -606,77 +859,92 @@ def way_to_grasp(
     T_world_hand_in: wp.array(dtype=wp.mat44), lean_in: wp.array(dtype=float),
     elbow_in: wp.array(dtype=wp.vec3),
     # out
-    free_out: wp.array(dtype=wp.bool),
+    free_out: wp.array(dtype=wp.bool), left_out: wp.array(dtype=float),
 ):  # fmt: skip
-    """Whether hand and arm come from where they wait to the grasp without meeting gripper and robot, and the head keeps off the
-    object.
+    """Whether hand and arm come from where they wait to the grasp (`Way`) without meeting gripper and robot, and the head keeps
+    off the object; and how far (m) the wrist would still have to go from where something meets.
 
-    The wrist goes straight to 10 cm before the grasp while the hand turns about one axis, then straight in (`way_direction`);
-    elbow, shoulder and lean go in proportion. The hand has the grasp's shape all the way. Certified: with d the distance and L
-    the farthest that a point goes per unit of the parameter t (0 waiting, 1 before the grasp, 2 there), nothing meets within
-    d / L.
+    Certified: with d the distance and L the farthest that a point goes per unit of the parameter, nothing meets within d / L.
     """
     pair = first + wp.tid()
     trial = trial_in[pair]
-    row = row_in[pair]
-    R_hand_world = bodies.R_hand_world[trial]
-    p_hand_world = bodies.p_hand_world[trial]
     links = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     origins = wp.zeros(shape=FRAMES, dtype=wp.vec3)
-    forward_kinematics(world, R_hand_world, p_hand_world, q[trial], links, origins)
-    # the turned object's frame
-    R_turn, p_turn = about_axis(grasps, object_in[pair], turn_in[pair])
-    R_world = rotation(T_world_obj_in[pair]) * R_turn
-    p_world = rotation(T_world_obj_in[pair]) * p_turn + position(T_world_obj_in[pair])
-    R_ee, p_ee = in_turned_object(grasps, object_in[pair], turn_in[pair], attached_in[pair])
-    drive = drive_from_gap(gripper, opening_in[pair])
-
-    start = leaned(receiver, trial, 0.0)
-    goal = leaned_with_head(receiver, head, trial, lean_in[pair])
-    goal.elbow = elbow_in[pair]
-    target = grasps.wrist[row]
-    before = target + WAY_M * way_direction(grasps, row, way_in[pair]) * -1.0
-    waits = wp.transpose(R_world) * (start.wrist - p_world)
-    R_waits = wp.transpose(R_world) * rotation(T_world_hand_in[pair])
-    # from the waiting hand's orientation to the grasp's, about one axis
-    axis, angle = wp.quat_to_axis_angle(wp.quat_from_matrix(grasps.R[row] * wp.transpose(R_waits)))
-    if angle > 3.141592653589793:
-        angle = 6.283185307179586 - angle
-        axis = -axis
-    size = float(0.0)
-    for piece in range(hands.n_pieces):
-        ball = hands.ball[row * hands.n_pieces + piece]
-        size = wp.max(size, wp.length(wp.vec3(ball[0], ball[1], ball[2]) - target) + ball[3])
-
-    # no point of trunk and head is farther from the hip, about which they turn
-    hip = goal.torso - goal.axes * wp.vec3(0.0, 0.0, goal.half[2])
-    top = wp.max(wp.length(goal.chin - hip), wp.length(goal.crown - hip)) + goal.head_radius
-    trunk = wp.radians(lean_in[pair]) * wp.max(2.0 * goal.half[2] + wp.length(goal.half), top)
-    joints = 0.5 * wp.max(wp.max(wp.length(goal.shoulder - start.shoulder), wp.length(goal.elbow - start.elbow)), trunk)
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], links, origins)
+    way = way_of(
+        hands, grasps, gripper, receiver, head, trial, row_in[pair], turn_in[pair], way_in[pair], object_in[pair],
+        attached_in[pair], opening_in[pair], T_world_obj_in[pair], T_world_hand_in[pair], lean_in[pair], elbow_in[pair],
+    )  # fmt: skip
     t = float(0.0)
     free = bool(False)
     for _ in range(MOST_STEPS):
-        wrist = before + (t - 1.0) * (target - before)
-        travel = WAY_M
-        turn_left = float(0.0)
-        if t < 1.0:
-            wrist = waits + t * (before - waits)
-            travel = wp.length(before - waits)
-            turn_left = 1.0 - t
-        speed = travel + wp.where(t < 1.0, angle * size, 0.0)
-        R_back = wp.quat_to_matrix(wp.quat_from_axis_angle(axis, -turn_left * angle))
-        d = gripper_distance(gripper, hands, row, R_ee * R_back, R_ee * (wrist - R_back * target) + p_ee, drive, FAR_M)
-        arm = leaned_with_head(receiver, head, trial, 0.5 * t * lean_in[pair])
-        arm.elbow = start.elbow + 0.5 * t * (goal.elbow - start.elbow)
-        arm.wrist = R_world * wrist + p_world
-        arm = into_hand_frame(arm, R_hand_world, p_hand_world)
-        e = arm_distance(world, bodies, trial, links, origins, arm, FAR_M)
-        e = wp.min(e, head_distance(world, bodies, trial, links, origins, arm, FAR_M))
-        if d <= eps or e <= 1.0e-4:
+        gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, t)
+        if gaps[0] <= eps or gaps[1] <= TOUCH_M:
             break
         if t >= 2.0:
             free = bool(True)
             break
-        onward = t + wp.min(d / wp.max(speed, 1.0e-6), e / wp.max(wp.max(joints, travel), 1.0e-6))
-        t = wp.min(onward, wp.where(t < 1.0, 1.0, 2.0))  # both speeds change at 1
+        t = farther_on_way(way, t, gaps[0], gaps[1])
     free_out[pair] = free
+    left_out[pair] = (2.0 - t) * WAY_M
+    if t < 1.0:
+        left_out[pair] = (1.0 - t) * wp.length(way.before - way.waits) + WAY_M
+
+
+@wp.kernel
+def rooms_on_way(
+    first: int,
+    # tables
+    world: World, bodies: TrialBodies, gripper: Gripper, hands: PosedHands, grasps: Receiving,
+    receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4), q: wp.array(dtype=vecq), eps: float,
+    tolerance: float, share: float,
+    # pairs
+    trial_in: wp.array(dtype=int), row_in: wp.array(dtype=int), turn_in: wp.array(dtype=float),
+    way_in: wp.array(dtype=int), object_in: wp.array(dtype=int), attached_in: wp.array(dtype=wp.mat44),
+    opening_in: wp.array(dtype=float), T_world_obj_in: wp.array(dtype=wp.mat44),
+    T_world_hand_in: wp.array(dtype=wp.mat44), lean_in: wp.array(dtype=float),
+    elbow_in: wp.array(dtype=wp.vec3), enough_in: wp.array(dtype=float),
+    # out
+    rooms_out: wp.array(dtype=wp.vec2), capped_out: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """The room (m, up to FAR_M) that a free way leaves between hand and gripper, and to arm, torso and head: at the grasp beyond
+    what is asked there, before it to touching. Where it is less than `enough`, it is right to the tolerance or the `share` of
+    it, what is more, but always to half of it; and never more than the truth. `capped`: nothing is nearer than was looked.
+
+    Certified: steps are so short that nothing comes nearer than the least room so far less what it may be wrong by.
+    """
+    pair = first + wp.tid()
+    trial = trial_in[pair]
+    links = wp.zeros(shape=FRAMES, dtype=wp.mat33)
+    origins = wp.zeros(shape=FRAMES, dtype=wp.vec3)
+    forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], links, origins)
+    way = way_of(
+        hands, grasps, gripper, receiver, head, trial, row_in[pair], turn_in[pair], way_in[pair], object_in[pair],
+        attached_in[pair], opening_in[pair], T_world_obj_in[pair], T_world_hand_in[pair], lean_in[pair], elbow_in[pair],
+    )  # fmt: skip
+    # the grasp first: mostly there is least room, and then steps are long
+    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 2.0)
+    rooms = gaps - wp.vec2(eps, TOUCH_M)
+    nearest = wp.min(rooms[0], rooms[1])
+    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 0.0)
+    along = wp.vec2(FAR_M, FAR_M)
+    t = float(0.0)
+    for _ in range(MOST_MEASURED):
+        if t >= 2.0:
+            break
+        nearest = wp.min(nearest, wp.min(gaps[0], gaps[1]))
+        least = wp.min(nearest, enough_in[pair])
+        sure = least - wp.max(share * least, wp.min(tolerance, 0.5 * least))
+        then = farther_on_way(way, t, gaps[0] - sure, gaps[1] - sure)
+        then = wp.max(then, wp.min(t + LEAST_STEP, wp.where(t < 1.0, 1.0, 2.0)))
+        # between two places nothing is nearer than both distances and the way between them allow
+        after = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, then)
+        between = 0.5 * (gaps + after - (then - t) * speeds_on_way(way, t))
+        along = wp.vec2(wp.min(along[0], between[0]), wp.min(along[1], between[1]))
+        gaps = after
+        t = then
+    # `way_to_grasp` went no farther than the distance at a place, and had more than these at the next: so half of them is
+    # left in between
+    along = wp.vec2(wp.max(along[0], 0.5 * eps), wp.max(along[1], 0.5 * TOUCH_M))
+    rooms_out[pair] = wp.vec2(wp.min(rooms[0], along[0]), wp.min(rooms[1], along[1]))
+    capped_out[pair] = nearest >= FAR_M - wp.max(eps, TOUCH_M)

@@ -5,7 +5,7 @@ The same pieces and the same distance as the planner's: what keeps clear here ke
 
 import warp as wp
 
-from r2h_batch.kernels.geometry.closest import eroded, signed_distance
+from r2h_batch.kernels.geometry.closest import eroded, rounded, signed_distance
 from r2h_batch.kernels.geometry.gjk import gjk
 from r2h_batch.kernels.geometry.shape import CAPSULE, HULL, Shape
 from r2h_batch.kernels.geometry.surface import inverse_pose
@@ -77,6 +77,29 @@ def gripper_distance(
                         d = gjk(a, R, p, hands.points, b, hands.points, p - middle, best, 0.0)
                         best = wp.min(best, wp.max(d.lower, 0.0))
     return best
+
+
+@wp.func
+def gripper_overlap(gripper: Gripper, hands: PosedHands, hand: int, R_ee: wp.mat33, p_ee: wp.vec3, drive: float):
+    """Minus how deep (m) the gripper meets a hand, as far as the balls that its primitives hold tell; arguments as of
+    `gripper_distance`."""
+    deepest = float(0.0)
+    a = Shape()
+    a.kind = HULL
+    for g in range(gripper.kind.shape[0]):
+        Rg, pg = finger_pose(gripper, g, drive)
+        R = wp.transpose(Rg) * R_ee
+        p = wp.transpose(Rg) * (p_ee - pg)
+        b = rounded(gripper.kind[g], gripper.size[g])
+        for piece in range(hands.n_pieces):
+            ball = hands.ball[hand * hands.n_pieces + piece]
+            middle = R * wp.vec3(ball[0], ball[1], ball[2]) + p
+            if signed_distance(gripper.kind[g], gripper.size[g], middle) - ball[3] < deepest:
+                a.start = hand * hands.n_points + hands.piece_start[piece]
+                a.count = hands.piece_start[piece + 1] - hands.piece_start[piece]
+                d = gjk(a, R, p, hands.points, b, hands.points, p - middle, deepest, 0.0)
+                deepest = wp.min(deepest, d.upper)
+    return deepest
 
 
 @wp.kernel

@@ -8,9 +8,9 @@ import torch
 from jaxtyping import Int64
 from torch import Tensor
 
-from r2h_batch.judge.reception import ROOM_M, STEPS, Reception, reception
+from r2h_batch.judge.reception import STEPS, Reception, reception
 from r2h_batch.judge.scores import judged_later
-from r2h_batch.types import GivenScores, MarginKind
+from r2h_batch.types import GivenScores
 from r2h_batch.verdicts import ReceiveReason
 
 
@@ -27,14 +27,14 @@ def given(scores: GivenScores) -> GivenScores:
     rows = torch.nonzero(scores.success)[:, 0]
     if not len(rows):
         return scores
-    found = reception(scores[rows])
-    got = found.received
-    kind = torch.full_like(rows, int(MarginKind.CAP))
-    margin = torch.where(got, ROOM_M, -torch.inf)
+    found = reception(scores[rows], margins=True)
     receives = scores.receives.clone()
     receives[rows, 0] = _reasons(found).to(receives.dtype)
     receives[rows, 1] = found.count[:, -1].to(receives.dtype)
-    judged = judged_later(scores, "received", rows, got, margin, kind)
+    receives[rows, 2] = found.room.to(receives.dtype)
+    judged = judged_later(
+        scores, "received", rows, found.received, found.margin_m, found.margin_kind.long()
+    )
     return replace(judged, receives=receives).with_inputs(inputs)
 
 

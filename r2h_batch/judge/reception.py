@@ -39,7 +39,8 @@ from r2h_batch.trials.holding.capacity import (
     Withstood,
 )
 from r2h_batch.trials.holding.held_out import GRAVITY, G, HeldOut, load_held_out
-from r2h_batch.types import CRITERIA, ScoreInputs, Scores, Trials
+from r2h_batch.types import CRITERIA, MarginKind, ScoreInputs, Scores, Trials
+from r2h_batch.verdicts import Room
 
 STEPS = ("arm", "free", "way", "clear", "release", "hold")
 """Steps that a grasp must pass, in this order. arm: joint ranges allow it. free: the hand is clear
@@ -66,6 +67,8 @@ PULL_N = 10.0
 """Pull of the person at which a gripper lets go [choice]: it turns the object in the hand about the gripper."""
 LIFT = 0.2
 """The person pulls along the forearm, at least level, and this much upwards (as a slope) [choice]."""
+MARGIN_TOLERANCE_M, MARGIN_SHARE = 1e-4, 0.1
+"""The room along the way of the grasp that is taken is certain to the first or to this share of it, what is more, as Pick's."""
 WAYS_TRIED = 8
 """The easiest grasps whose whole way is looked at, one after the other."""
 TRIALS_AT_ONCE, PAIRS_CHUNK = 256, 16
@@ -95,6 +98,10 @@ class Reception:
         T_world_before: where it is 10 cm before that, turned as there; from here it goes straight.
         wrist: where its wrist is then, world, m.
         pull: unit vector along which the person pulls, world.
+        margin_m: the least `Room` of the easiest grasp; where none is received, minus what the step that leaves none lacks
+            (docs/r2h_v3.md), -inf where no length tells; NaN where margins are not asked for.
+        margin_kind: `MarginKind`.
+        room: which `Room` that is; -1 where none is received.
         T_obj_ee: the grasp once the gripper has closed (`judge.grasp`), m; identity where nothing is held.
         T_world_obj: where the object is held out, m.
         opening_m: the gripper's squeezed opening.
@@ -115,6 +122,9 @@ class Reception:
     T_world_before: Float32[Tensor, "b 4 4"]
     wrist: Float32[Tensor, "b 3"]
     pull: Float32[Tensor, "b 3"]
+    margin_m: Float32[Tensor, " b"]
+    margin_kind: Int8[Tensor, " b"]
+    room: Int8[Tensor, " b"]
     T_obj_ee: Float32[Tensor, "b 4 4"]
     T_world_obj: Float32[Tensor, "b 4 4"]
     opening_m: Float32[Tensor, " b"]
@@ -124,12 +134,14 @@ class Reception:
     scores=instance_of(Scores, "what Evaluator.score returns"),
     leans_deg=array("iuf", 1, "leans of the trunk, 0 to 90 degrees", low=0.0, high=90.0),
     head=optional(instance_of(Tensor, "a torch tensor (B, 2, 4), or None")),
+    margins=instance_of(bool, "True or False"),
 )
 def reception(
     scores: Scores,
     *,
     leans_deg: tuple[float, ...] = LEANS_DEG,
     head: Float32[Tensor, "b 2 4"] | None = None,
+    margins: bool = False,
 ) -> Reception:
     """Whether each receiver can take the object that was handed over.
 
@@ -137,6 +149,7 @@ def reception(
         scores: what `Evaluator.score` returned for trials with a receiver's body (as r2h-v2 has).
         leans_deg: leans of the trunk that a person may use, 0 to 90 degrees; (0,): none.
         head: (B, 2, 4) of `scene.person.heads_of`, where the trials' receivers have moved their arms since, m; None: theirs.
+        margins: also by how much, which takes longer.
 
     Raises:
         TypeError, ValueError: an argument has another type or range, the scores hold no inputs, or the
@@ -154,7 +167,7 @@ def reception(
     with inputs.evaluator.working():
         _needed_grasps(inputs.evaluator.scene, inputs.trials)  # of all rows: hands are posed once
         parts = [
-            _reception(scores[part], leans_deg, None if head is None else head[part])
+            _reception(scores[part], leans_deg, None if head is None else head[part], margins)
             for part in (slice(i, i + TRIALS_AT_ONCE) for i in rows)
         ]
     return Reception(
@@ -321,18 +334,40 @@ class _Batch:
         return se3.apply(pair["T_world_obj"], se3.apply(turned, self.grasps.owners[0][row]))
 
 
-def _reception(scores: Scores, leans_deg: tuple[float, ...], head: Tensor | None) -> Reception:
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What the steps say of every grasp of every trial."""
+
+    arms: dict[str, Tensor]
+    passes: Bool[Tensor, "b k 6"]
+    """each of `STEPS` and all before it"""
+    way: Int32[Tensor, "b k"]
+    """direction from which the hand comes; -1: none"""
+    far_m: Float32[Tensor, "b k"]
+    """how far the best straight way is free, from the grasp on"""
+    back_m: Float32[Tensor, "b k"]
+    """how far the opened fingers can back off"""
+    chosen: Int64[Tensor, " b"]
+    """the easiest grasp whose whole way is free; -1: none"""
+    left_m: Float32[Tensor, " b"]
+    """what is left of the whole way where something meets, of the grasp that comes nearest"""
+
+
+def _reception(
+    scores: Scores, leans_deg: tuple[float, ...], head: Tensor | None, margins: bool
+) -> Reception:
     batch = _batch_of(scores, head)
     arms = _arms(batch, leans_deg)
     passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool, device=batch.device)
     passes[..., 0] = arms["effort"] >= 0
-    way = _come(batch, arms, passes)
+    way, far_m = _come(batch, arms, passes)
     _beside_robot(batch, arms, passes)
-    _let_go(batch, arms, passes)
+    back_m = _let_go(batch, arms, passes)
     _carry(batch, arms, passes)
     passes = passes.cummin(2).values
-    chosen = _easiest(batch, arms, way, passes[..., -1])
-    return _result(batch, arms, way, passes.sum(1), chosen)
+    chosen, left_m = _easiest(batch, arms, way, passes[..., -1])
+    found = _Found(arms, passes, way, far_m, back_m, chosen, left_m)
+    return _result(batch, found, _margins(batch, found, leans_deg) if margins else None)
 
 
 def _batch_of(scores: Scores, head: Tensor | None = None) -> _Batch:
@@ -397,15 +432,22 @@ def _arms(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
     sizes = dict.fromkeys(("effort", "turn", "angles", "elbow"), width)
     kernel = batch.sized(kernels.reach_with_arm)
     found: dict[str, Tensor] = over_trials(kernel, b, device, sizes=sizes, width=width, chunk=1)(
-        grasps=batch.grasps.table,
-        lean=torch.tensor(leans_deg, dtype=torch.float32, device=device),
-        row=batch.first,
-        count=batch.known.contiguous(),
-        outwards=torch.where(batch.side == 0, -1.0, 1.0).float(),
-        receiver=batch.robot["receiver"],
-        **{k: batch.of_trial[k] for k in ("object", "T_world_obj", "T_world_hand")},
+        **_arm_columns(batch, leans_deg), T_world_hand=batch.of_trial["T_world_hand"]
     )
     return found
+
+
+def _arm_columns(batch: _Batch, leans_deg: tuple[float, ...]) -> dict[str, Any]:
+    """Inputs of the kernels that look for arms of every grasp of every trial."""
+    return {
+        "grasps": batch.grasps.table,
+        "lean": torch.tensor(leans_deg, dtype=torch.float32, device=batch.device),
+        "row": batch.first,
+        "count": batch.known.contiguous(),
+        "outwards": torch.where(batch.side == 0, -1.0, 1.0).float(),
+        "receiver": batch.robot["receiver"],
+        **{k: batch.of_trial[k] for k in ("object", "T_world_obj")},
+    }
 
 
 def _launch(batch: _Batch, kernel: Any, n: int, **inputs: Any) -> dict[str, Tensor]:
@@ -419,8 +461,10 @@ _PAIR_COLUMNS = ("row", "turn", "object", "attached", "opening")
 """Inputs of the gripper-hand check, for a pair."""
 
 
-def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tensor, "b k"]:
-    """Writes the steps free and way; the direction from which each hand comes, -1: none."""
+def _come(
+    batch: _Batch, arms: dict[str, Tensor], passes: Tensor
+) -> tuple[Int32[Tensor, "b k"], Float32[Tensor, "b k"]]:
+    """Writes the steps free and way; the direction from which each hand comes, -1: none, and how far one is free, m."""
     trial, k = torch.nonzero(passes[..., 0], as_tuple=True)
     pair = batch.pairs(trial, k, arms)
     columns = {n: pair[n] for n in _PAIR_COLUMNS}
@@ -428,7 +472,16 @@ def _come(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Int32[Tenso
     passes[trial, k, 1], passes[trial, k, 2] = made["free"], made["way"] >= 0
     way = torch.full(passes.shape[:2], -1, dtype=torch.int32, device=batch.device)
     way[trial, k] = made["way"]
-    return way
+    return way, _of_pairs(passes, trial, k, made["far"])
+
+
+def _of_pairs(
+    passes: Tensor, trial: Tensor, k: Tensor, value: Float32[Tensor, " p"]
+) -> Float32[Tensor, "b k"]:
+    """A number of some pairs as a table of all; -inf of the others."""
+    table = torch.full(passes.shape[:2], -torch.inf, dtype=torch.float32, device=passes.device)
+    table[trial, k] = value
+    return table
 
 
 def _beside_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
@@ -443,23 +496,25 @@ def _beside_robot(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Non
     passes[trial, k, 3] = made["clear"]
 
 
-def _let_go(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> None:
-    """Writes the step release."""
+def _let_go(batch: _Batch, arms: dict[str, Tensor], passes: Tensor) -> Float32[Tensor, "b k"]:
+    """Writes the step release; how far the fingers can back off, m."""
     trial, k = torch.nonzero(passes[..., :4].all(2), as_tuple=True)
     pair = batch.pairs(trial, k, arms)
     columns = {n: pair[n] for n in _PAIR_COLUMNS} | {"open_gap": batch.grasps.open_gap_m}
-    passes[trial, k, 4] = _launch(batch, kernels.let_go, len(trial), **batch.tables, **columns)[
-        "release"
-    ]
+    made = _launch(batch, kernels.let_go, len(trial), **batch.tables, **columns)
+    passes[trial, k, 4] = made["back"] >= float(kernels.WAY_M)
+    return _of_pairs(passes, trial, k, made["back"])
 
 
 def _easiest(
     batch: _Batch, arms: dict[str, Tensor], way: Tensor, passing: Bool[Tensor, "b k"]
-) -> Int64[Tensor, " b"]:
-    """The grasp of least effort whose whole way is free, among the first `WAYS_TRIED`; -1: none."""
+) -> tuple[Int64[Tensor, " b"], Float32[Tensor, " b"]]:
+    """The grasp of least effort whose whole way is free, among the first `WAYS_TRIED`; -1: none, and what is left of the way
+    of the one that comes nearest, m."""
     effort = torch.where(passing, arms["effort"], torch.inf)
     order = effort.argsort(dim=1, stable=True)
     chosen = torch.full((len(passing),), -1, dtype=torch.int64, device=passing.device)
+    nearest = torch.full((len(passing),), torch.inf, dtype=torch.float32, device=passing.device)
     left = torch.nonzero(passing.any(1))[:, 0]
     for turn in range(min(WAYS_TRIED, passing.shape[1])):
         k = order[left, turn]
@@ -471,18 +526,138 @@ def _easiest(
         inputs = {**batch.tables, **batch.robot, **pair}
         made = _launch(batch, kernels.way_to_grasp, len(left), **inputs)
         chosen[left[made["free"]]] = k[made["free"]]
+        nearest[left] = torch.minimum(nearest[left], made["left"])
         left = left[~made["free"]]
-    return chosen
+    return chosen, nearest
 
 
-def _result(
-    batch: _Batch,
-    arms: dict[str, Tensor],
-    way: Int32[Tensor, "b k"],
-    count: Tensor,
-    chosen: Int64[Tensor, " b"],
-) -> Reception:
+def _margins(batch: _Batch, found: _Found, leans_deg: tuple[float, ...]) -> dict[str, Tensor]:
+    """`margin_m`, `margin_kind` and `room` of every trial."""
+    b, device = len(found.chosen), found.chosen.device
+    margin = torch.full((b,), -torch.inf, dtype=torch.float32, device=device)
+    kind = torch.full((b,), int(MarginKind.CAP), dtype=torch.int8, device=device)
+    room = torch.full((b,), -1, dtype=torch.int8, device=device)
+    got = torch.nonzero(found.chosen >= 0)[:, 0]
+    if len(got):
+        rooms, capped = _rooms(batch, found, got, found.chosen[got])
+        least, which = rooms.min(1)
+        margin[got], room[got] = least, which.to(torch.int8)
+        capped &= which < int(Room.REACH)
+        kind[got] = torch.where(capped, int(MarginKind.CAP), int(MarginKind.DISTANCE)).to(
+            torch.int8
+        )
+    none = ~found.passes.any(1)
+    step = torch.where(none.any(1), none.to(torch.int8).argmax(1), len(STEPS))
+    step = torch.where((batch.known == 0) | (found.chosen >= 0), -1, step)
+    for j, name in enumerate((*STEPS, "whole_way")):
+        if name in _LACKS and len(rows := torch.nonzero(step == j)[:, 0]):
+            lacks, told = _LACKS[name]
+            margin[rows], kind[rows] = lacks(batch, found, rows, leans_deg), int(told)
+    kind[margin == -torch.inf] = int(MarginKind.CAP)
+    return {"margin_m": margin, "margin_kind": kind, "room": room}
+
+
+def _rooms(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], k: Int64[Tensor, " n"]
+) -> tuple[Float32[Tensor, "n 4"], Bool[Tensor, " n"]]:
+    """Each `Room` of the grasps k of trials, m, and whether nothing is nearer to hand and body than was looked. Those of hand
+    and body are right where they are less than the others."""
+    pair = batch.pairs(rows, k, found.arms)
+    angles = found.arms["angles"][rows, k].contiguous()
+    inputs = {"receiver": batch.robot["receiver"], "trial": pair["trial"], "angles": angles}
+    own = _launch(batch, kernels.arm_rooms, len(rows), **inputs)["rooms"]
+    pair |= {"way": found.way[rows, k], "enough": own.amin(1)}
+    inputs = {**batch.tables, **batch.robot, **pair}
+    inputs |= {"tolerance": MARGIN_TOLERANCE_M, "share": MARGIN_SHARE}
+    beside = _launch(batch, kernels.rooms_on_way, len(rows), **inputs)
+    return torch.cat([beside["rooms"], own], 1), beside["capped"]
+
+
+def _short_of_reach(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    asked = torch.zeros_like(batch.evaluated)
+    asked[rows] = True
+    kernel = batch.sized(kernels.short_of_reach)
+    run = over_trials(
+        kernel, len(asked), batch.device, sizes={"short": batch.width}, width=batch.width, chunk=1
+    )
+    made = run(**_arm_columns(batch, leans_deg), asked=asked, turn=found.arms["turn"])
+    least = made["short"][rows].amin(1)
+    return torch.where(least < 1e3, -least, -torch.inf)
+
+
+def _of_candidates(
+    batch: _Batch, found: _Found, rows: Tensor, before: int
+) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    """The pairs of these trials that pass the steps `before` one."""
+    asked = torch.zeros_like(batch.evaluated)
+    asked[rows] = True
+    trial, k = torch.nonzero(found.passes[..., before - 1] & asked[:, None], as_tuple=True)
+    return trial, k, batch.pairs(trial, k, found.arms)
+
+
+def _overlap_of_hand(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    trial, k, pair = _of_candidates(batch, found, rows, STEPS.index("free"))
+    columns = {n: pair[n] for n in _PAIR_COLUMNS}
+    made = _launch(batch, kernels.overlap_of_hand, len(trial), **batch.tables, **columns)
+    return _of_pairs(found.passes, trial, k, made["room"])[rows].amax(1)
+
+
+def _overlap_of_person(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    trial, k, pair = _of_candidates(batch, found, rows, STEPS.index("clear"))
+    posture = {n: pair[n] for n in ("trial", "lean", "elbow")}
+    wrist = batch.wrists(pair).contiguous()
+    made = _launch(
+        batch, kernels.overlap_of_person, len(trial), **batch.robot, **posture, wrist=wrist
+    )
+    return _of_pairs(found.passes, trial, k, made["room"])[rows].amax(1)
+
+
+def _left_of_way(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    return found.far_m[rows].amax(1) - float(kernels.WAY_M)
+
+
+def _left_of_backing_off(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    return found.back_m[rows].amax(1) - float(kernels.WAY_M)
+
+
+def _left_of_whole_way(
+    batch: _Batch, found: _Found, rows: Int64[Tensor, " n"], leans_deg: tuple[float, ...]
+) -> Float32[Tensor, " n"]:
+    return -found.left_m[rows]
+
+
+_LACKS: dict[str, tuple[Callable[[_Batch, _Found, Tensor, tuple[float, ...]], Tensor], MarginKind]]
+_LACKS = {
+    "arm": (_short_of_reach, MarginKind.DISTANCE),
+    "free": (_overlap_of_hand, MarginKind.BOUND),
+    "way": (_left_of_way, MarginKind.DISTANCE),
+    "clear": (_overlap_of_person, MarginKind.BOUND),
+    "release": (_left_of_backing_off, MarginKind.DISTANCE),
+    "whole_way": (_left_of_whole_way, MarginKind.DISTANCE),
+}
+"""The step that leaves no grasp -> minus what the best one lacks there, m. `hold` lacks newtons, which are no length."""
+
+
+def _result(batch: _Batch, found: _Found, margins: dict[str, Tensor] | None) -> Reception:
+    arms, way, chosen, count = found.arms, found.way, found.chosen, found.passes.sum(1)
     received, nan = chosen >= 0, torch.nan
+    if margins is None:
+        unknown = torch.zeros(len(chosen), dtype=torch.int8, device=chosen.device)
+        margins = {
+            "margin_m": torch.full_like(chosen, nan, dtype=torch.float32),
+            "margin_kind": unknown,
+            "room": unknown - 1,
+        }
     trial = torch.arange(len(chosen), dtype=torch.int64, device=chosen.device)
     k = chosen.clamp(min=0)
     pair = batch.pairs(trial, k, arms)
@@ -518,6 +693,9 @@ def _result(
         torch.where(received[:, None, None], T_before.float(), nan),
         torch.where(received[:, None], wrist, nan),
         torch.where(received[:, None], pull_direction(arms["elbow"][trial, k], wrist), nan),
+        margins["margin_m"],
+        margins["margin_kind"],
+        margins["room"],
         batch.of_trial["attached"],
         batch.of_trial["T_world_obj"],
         batch.of_trial["opening"],

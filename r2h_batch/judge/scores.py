@@ -182,7 +182,7 @@ def _kind(found: dict[str, Tensor]) -> type[Scores]:
 
 def not_given(b: int, device: torch.device) -> dict[str, Tensor]:
     """The fields of `GivenScores` of B rows that nobody was asked to take."""
-    return {"receives": torch.full((b, 2), -1, dtype=torch.int32, device=device)}
+    return {"receives": torch.full((b, 3), -1, dtype=torch.int32, device=device)}
 
 
 def judged_later(

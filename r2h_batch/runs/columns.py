@@ -18,6 +18,7 @@ from r2h_batch.verdicts import (
     PickReason,
     PlanReason,
     ReceiveReason,
+    Room,
 )
 
 NAME = pa.dictionary(pa.int32(), pa.string())
@@ -116,6 +117,9 @@ TRIALS = (
            f"[why the person cannot take it](r2h_v3.md#received): {_words(r.name for r in ReceiveReason)}; null: not judged",
            since="0.3.0", asked="received"),
     Column("received_grasps", pa.int32(), "receiving grasps that pass every step", since="0.3.0", asked="received"),
+    Column("received_by", NAME,
+           f"what [Received's margin](r2h_v3.md#received) is of: {_words(r.name for r in Room)}; null: not received",
+           since="0.4.0", asked="received"),
     Column("width_m", FLOAT, "extent along y of the material between the pads; null: no material", "m", since="0.2.0"),
     Column("borderline", BOOL, "[a margin is within 0.1 mm of its threshold](choices.md#margins)"),
     Column("presented_margin_m", FLOAT,

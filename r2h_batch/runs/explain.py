@@ -33,6 +33,15 @@ RECEIVES = {
     "no_grasp": "no grasp of this hand is known",
 }
 """Why nobody can take the object, in words: what the last of the receiving grasps fails."""
+LEFT_OUT = ("way", "release", "whole_way")
+"""Of these the margin is the part of a way that is left."""
+ROOMS = {
+    "hand": "between hand and gripper",
+    "body": "between the person's body and the robot",
+    "reach": "of the arm's reach",
+    "joints": "of the joints' ranges",
+}
+"""What Received's margin is of (`Room`), in words."""
 PICKS = {
     "out_of_reach": "the arm cannot reach the grasp where the object rests",
     "grasp_collides": "the open gripper meets something at the grasp",
@@ -119,7 +128,9 @@ def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.
     if outcome == "pick":
         return f"{words}{_pick_why(row)}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "received":
-        return f"{words}{RECEIVES.get(str(row.get('received_reason')), '')}".rstrip(" :,")
+        reason = str(row.get("received_reason"))
+        short = f": {by} are left" if reason in LEFT_OUT else f", by {by}"
+        return f"{words}{RECEIVES.get(reason, '')}{short if by else ''}".rstrip(" :,")
     if outcome == "presented" and (nearer := presented_words(row)):
         return f"{words}{nearer}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
@@ -281,6 +292,9 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         return _pick_pair(row)
     if criterion == "received":
         return "the receiving grasps of this object and hand"
+    if not criterion and row.get("received_by") in ROOMS:
+        least = 1e3 * row["margin_received_m"]
+        return f"{least:.1f} mm {ROOMS[row['received_by']]} is the least room where the person takes it"
     if criterion == "presented" and row.get("presented_by") in NEARER:
         allowed = 100 * PRESENTED_M[str(row["split"])]
         return f"{presented_words(row)}; up to {allowed:g} cm is allowed"

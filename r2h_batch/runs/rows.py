@@ -30,6 +30,7 @@ from r2h_batch.verdicts import (
     PickReason,
     PlanReason,
     ReceiveReason,
+    Room,
 )
 
 if TYPE_CHECKING:  # readers of rows need no torch
@@ -177,9 +178,10 @@ def score_rows(
         columns["pick_pair"] = _named(np.where(met == CollidingPair.NONE, -1, met), pairs)
         columns["pick_part"] = _named(part, names.parts)
     if "received" in scores.criteria:
-        reason, grasps = _array(vars(scores)["receives"]).T
+        reason, grasps, room = _array(vars(scores)["receives"]).T
         columns["received_reason"] = _named(reason, [r.name.lower() for r in ReceiveReason])
         columns["received_grasps"] = pa.array(grasps, pa.int32(), mask=grasps < 0)
+        columns["received_by"] = _named(room, [r.name.lower() for r in Room])
     for i, entry in enumerate(scores.entries):
         columns[entry.passed_column] = pa.array(passed[:, i], pa.bool_(), mask=~evaluated[:, i])
         columns[entry.margin_column] = _floats(margin[:, i])

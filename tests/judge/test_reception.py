@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import combinations
 
+import fcl
 import numpy as np
 import pytest
 import torch
@@ -41,6 +42,7 @@ from r2h_batch.trials.holding.held_out import (
     revolution_axis,
 )
 from r2h_batch.trials.holding.receiving import load_receiving
+from r2h_batch.verdicts import MarginKind, Room
 
 RANGES = {"elbow": (0, 150), "supination": (-80, 80), "wrist_flexion": (-70, 80), "ulnar_deviation": (-20, 30)}
 
@@ -59,7 +61,7 @@ def scores():
 
 @pytest.fixture(scope="module")
 def found(scores):
-    return reception(scores)
+    return reception(scores, margins=True)
 
 
 @pytest.fixture(scope="module")
@@ -69,7 +71,7 @@ def steps(scores):
     arms = judge._arms(batch, judge.LEANS_DEG)
     passes = torch.zeros((*arms["effort"].shape, len(STEPS)), dtype=torch.bool)
     passes[..., 0] = arms["effort"] >= 0
-    way = judge._come(batch, arms, passes)
+    way, _ = judge._come(batch, arms, passes)
     judge._beside_robot(batch, arms, passes)
     judge._let_go(batch, arms, passes)
     return batch, arms, passes, way
@@ -299,32 +301,145 @@ def test_arm_and_torso_are_clear_of_the_robot_as_fcl_says(scores, steps):
             assert gap > 0 if clear else gap < 2e-5, (i, k, gap)
 
 
-def test_the_whole_way_to_the_chosen_grasp_is_free_at_every_sample(scores, steps, found):
-    batch, arms, _, way = steps
+PALM_M, TOUCH_M, FAR_M, FCL_M = 0.1, 1e-4, 0.05, 2e-5
+
+
+def own_rooms(receiver, angles):
+    """Of the arm (`Room`): how much longer it is than it is stretched, and the least room of its joints."""
+    upper, lower = (np.linalg.norm(receiver[k, :3] - receiver[k + 1, :3]) for k in (0, 1))
+    said = dict(zip(ANGLES, angles, strict=True))
+    stretched = np.sqrt(upper**2 + lower**2 + 2 * upper * lower * np.cos(np.radians(said["elbow"])))
+    ends = [
+        np.radians(high - said[name]) * (lower if name == "elbow" else PALM_M) for name, (_, high) in RANGES.items()
+    ]
+    ends += [np.radians(said[name] - low) * PALM_M for name, (low, _) in RANGES.items() if name != "elbow"]
+    return upper + lower - stretched, min(ends)
+
+
+def gaps_on_way(scores, batch, found, i):
+    """A function of t (0 waiting, 1 before the grasp, 2 there) that gives FCL's distances of hand and gripper, and of body and
+    robot, on the way to the grasp that trial i's person takes."""
+    row = int(batch.grasps.first_of(scores.inputs.trials.object_index[i])) + int(found.grasp[i])
+    receiver = batch.robot["receiver"][i]
+    poses = scores.inputs.trials.T_world_hand, found.T_world_hand, found.T_world_before
+    wait, there, before = (T[i].double().numpy() for T in poses)
+    turn = Slerp([0, 1], Rotation.from_matrix([wait[:3, :3], there[:3, :3]]))
+    model = evaluator().scene.hands.model
+    skin = batch.grasps.held_out.grasps[row : row + 1].vertices[0].double().numpy()
+    grasp = batch.grasps.held_out.grasps.T_obj_hand[row].double().numpy()
+    of_object = there @ np.linalg.inv(grasp)  # the object's frame, turned about its axis
+    at_grasp = skin @ of_object[:3, :3].T + of_object[:3, 3]
+    pieces = [hull(at_grasp[ids.numpy()]) for ids in model.pieces]
+    gripper = gripper_bodies(batch, i, float(batch.of_trial["opening"][i]))
+    target = found.wrist[i].double().numpy()
+    start, out = receiver[2, :3].double().numpy(), before[:3, 3] - there[:3, 3]
+    lean, elbow = float(found.angles_deg[i, 6]), found.elbow[i].double().numpy()
+    waits, q = receiver[1, :3].double().numpy(), scores.q_goal[i].double().numpy()
+
+    def gaps(t):
+        at = start + t * (target + out - start) if t < 1 else target + (2 - t) * out
+        back = turn(min(t, 1.0)).as_matrix() @ there[:3, :3].T
+        for piece in pieces:
+            piece.setTransform(fcl.Transform(back, at - back @ target))
+        arm = arm_bodies(receiver, 0.5 * t * lean, waits + 0.5 * t * (elbow - waits), at)
+        return least(gripper, pieces), gap_to_robot(batch, i, q, arm)
+
+    return gaps
+
+
+def rooms_of(scores, batch, found, i, samples, rounds):
+    """Each `Room` of the grasp that trial i's person takes: those of hand and body from samples of the way, more of them in
+    each round around the nearest ones."""
+    gaps = gaps_on_way(scores, batch, found, i)
+    known = {t: gaps(t) for t in np.linspace(0, 2, samples)}
+    width = 2 / (samples - 1)
+    for _ in range(rounds):
+        for which in (0, 1):
+            nearest = min(known, key=lambda t, which=which: known[t][which])
+            known |= {t: gaps(t) for t in np.clip(nearest + width * np.linspace(-1, 1, 9), 0, 2) if t not in known}
+        width /= 4
+    asked = np.array([judge.ROOM_M, TOUCH_M])
+    beside = np.minimum(np.min(list(known.values()), axis=0), np.array(known[2.0]) - asked)
+    beside = np.minimum(beside, FAR_M - asked)  # nobody looks farther
+    receiver, angles = batch.robot["receiver"][i].double().numpy(), found.angles_deg[i].double().numpy()
+    return np.array([*beside, *own_rooms(receiver, angles)])
+
+
+def rooms_agree(scores, batch, found, rows, samples, rounds):
+    """The stored margins are no more than any room, and near the least one, which they name; which ones they name."""
+    named = []
+    for i in each(rows):
+        margin, room = float(found.margin_m[i]), int(found.room[i])
+        rooms = rooms_of(scores, batch, found, i, samples, rounds)
+        assert 0 < margin <= rooms.min() + FCL_M, (i, room, margin, rooms)
+        assert rooms[room] <= 1.1 * margin + 2e-4, (i, room, margin, rooms)
+        named.append(Room(room))
+    return named
+
+
+def test_margins_are_the_least_room_by_samples_of_the_whole_way(scores, steps, found):
     rows = torch.nonzero(found.received)[:, 0].tolist()
     assert len(rows) >= 20
-    for i in rows[::14]:
-        row = int(batch.grasps.first_of(scores.inputs.trials.object_index[i])) + int(found.grasp[i])
-        k = row - int(batch.first[i])
+    rooms_agree(scores, steps[0], found, rows[::9], 21, 1)
+
+
+@pytest.mark.slow
+def test_margins_of_many_are_the_least_room_by_many_samples():
+    trials = load_benchmark("r2h-v1").trials(48)
+    answer = oracle.predict(trials, evaluator().scene, evaluator=evaluator())
+    scores = evaluator().score(answer.T_obj_ee, answer.T_world_ee, trials)
+    found = reception(scores, margins=True)
+    rows = torch.nonzero(found.received)[:, 0].tolist()
+    assert len(rows) >= 60
+    named = rooms_agree(scores, judge._batch_of(scores), found, rows, 81, 3)
+    assert {Room.HAND, Room.JOINTS} <= set(named)
+
+
+def test_margins_of_what_is_not_received_are_what_the_best_grasp_lacks(scores, steps, monkeypatch):
+    """No arm is long enough, and no grasp leaves the hand 20 cm of room."""
+    batch, _, passes, _ = steps
+    trials = scores.inputs.trials
+    away = trials.receiver.clone()
+    away[:, :4, 0] += 0.7
+    moved = scores.with_inputs(replace(scores.inputs, trials=replace(trials, receiver=away)))
+    upright = reception(moved, leans_deg=(0.0,), margins=True)
+    rows = torch.nonzero(upright.evaluated & (upright.count[:, 0] == 0))[:, 0]
+    arms = judge._arms(judge._batch_of(moved), (0.0,))
+    for i in each(rows[::5].tolist()):
+        k = torch.arange(int(batch.known[i]))
+        wrist = batch.wrists(batch.pairs(torch.full_like(k, i), k, arms)).double()
+        body = away[i].double()
+        long = (body[0, :3] - body[1, :3]).norm() + (body[1, :3] - body[2, :3]).norm()
+        short = ((wrist - body[0, :3]).norm(dim=1) - long).min()
+        assert float(upright.margin_m[i]) == pytest.approx(-float(short), abs=1e-5) and short > 0
+    assert (upright.margin_kind[rows] == int(MarginKind.DISTANCE)).all() and (upright.room[rows] == -1).all()
+
+    monkeypatch.setattr(judge, "ROOM_M", 0.2)
+    wide = reception(scores[:8], margins=True)
+    rows = torch.nonzero((wide.count[:, 0] > 0) & (wide.count[:, 1] == 0))[:, 0]
+    arms = judge._arms(batch, judge.LEANS_DEG)
+    for i in each(rows[:2].tolist()):
         opening = float(batch.of_trial["opening"][i])
-        T = turned_object(batch, i, arms["turn"][i, k])
-        table, receiver = batch.grasps, batch.robot["receiver"][i]
-        n, a, wrist = (table.owners[j][row].double().numpy() for j in (2, 1, 0))
-        u = (n, a, (n + a) / np.linalg.norm(n + a))[int(way[i, k])]
-        target = T[:3, :3] @ wrist + T[:3, 3]
-        start, before = receiver[2, :3].double().numpy(), target - 0.1 * T[:3, :3] @ u
-        R = [T[i, :3, :3].double().numpy() for T in (scores.inputs.trials.T_world_hand, found.T_world_hand)]
-        turn = Slerp([0, 1], Rotation.from_matrix(R))
-        skin = hand_pieces(batch, row, T)
-        lean, elbow = float(found.angles_deg[i, 6]), found.elbow[i].double().numpy()
-        waits = receiver[1, :3].double().numpy()
-        for t in np.linspace(0, 2, 15):
-            at = start + t * (before - start) if t < 1 else before + (t - 1) * (target - before)
-            back = turn(min(t, 1.0)).as_matrix() @ R[1].T
-            pieces = [hull((p - target) @ back.T + at) for p in skin]
-            assert least(gripper_bodies(batch, i, opening), pieces) > 0, (i, t)
-            arm = arm_bodies(receiver, 0.5 * t * lean, waits + 0.5 * t * (elbow - waits), at)
-            assert gap_to_robot(batch, i, scores.q_goal[i].double().numpy(), arm) > 0, (i, t)
+        gaps = [
+            gap_to_gripper(batch, i, int(batch.first[i]) + k, arms["turn"][i, k], opening)
+            for k in torch.nonzero(passes[i, :, 0])[:, 0].tolist()
+        ]
+        assert float(wide.margin_m[i]) == pytest.approx(max(gaps) - 0.2, abs=2e-5)
+    assert (wide.margin_kind[rows] == int(MarginKind.BOUND)).all()
+
+
+def test_a_hand_in_the_gripper_lacks_more_the_deeper_it_is(steps):
+    batch, arms, passes, _ = steps
+    _, _, pair = pairs_of(batch, arms, passes[..., 0] & ~passes[..., 1], 400)
+    columns = {k: pair[k] for k in judge._PAIR_COLUMNS}
+    room = judge._launch(batch, kernels.overlap_of_hand, 400, **batch.tables, **columns)["room"]
+    meets = ~beside_gripper(batch, pair, 1e-7)
+    assert (room <= 0).all() and (room[meets] <= -judge.ROOM_M).all() and (room[~meets] > -judge.ROOM_M).all()
+    deep = torch.nonzero(room < -0.004)[:, 0]
+    assert len(deep) > 20
+    for way in each(torch.eye(3)):  # who is so deep is not out after half as much, whichever way it goes
+        step = -0.5 * (room + judge.ROOM_M)[:, None] * way
+        assert not beside_gripper(batch, pair, 1e-7, attached=shifted(pair["attached"], step))[deep].any()
 
 
 # --- the same verdicts on many pairs, from samples of what FCL was asked about above ------------------------------------
@@ -393,7 +508,7 @@ def test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_t
     _, _, pair = pairs_of(batch, arms, passes[..., 0], n, moved_m=0.12)
     wide = batch.grasps.open_gap_m
     columns = {k: pair[k] for k in judge._PAIR_COLUMNS} | {"open_gap": wide}
-    release = judge._launch(batch, kernels.let_go, n, **batch.tables, **columns)["release"]
+    release = judge._launch(batch, kernels.let_go, n, **batch.tables, **columns)["back"] >= kernels.WAY_M
     third, two = (
         beside_gripper(batch, pair, opening=pair["opening"] + k / 3 * (wide - pair["opening"])) for k in (1, 2)
     )
@@ -552,7 +667,8 @@ def test_no_head_is_passed_by_between_two_steps_of_a_way(scores, steps):
     pair["trial"] = rows
 
     def free(head):
-        return judge._launch(batch, kernels.way_to_grasp, n, **batch.tables, **own, head=head, **pair)["free"]
+        inputs = {**batch.tables, **own, **pair, "head": head}
+        return judge._launch(batch, kernels.way_to_grasp, n, **inputs)["free"]
 
     nowhere = heads_at(own, torch.arange(n), torch.zeros(n), hip.double().numpy(), 0.01)
     head = heads_at(own, torch.arange(n), 30.0 * share, x, 0.01)
@@ -654,7 +770,7 @@ def test_hands_hold_what_they_carry_and_what_a_pull_about_the_gripper_does_not_t
 
 def test_a_row_depends_on_its_own_trial_alone(scores, found):
     rows = torch.tensor([5, 2, 29])
-    again = reception(scores[rows])
+    again = reception(scores[rows], margins=True)
     for name in each(judge.Reception.__dataclass_fields__):
         a, b = getattr(found, name)[rows], getattr(again, name)
         assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name
@@ -671,7 +787,7 @@ def test_hands_are_posed_once_however_often_objects_are_added_and_every_row_stay
     order = objects.unique()[[3, 0, 5, 4]]  # before, behind and between those that are there
     for k in each(range(1, 5)):
         rows = torch.isin(objects, order[:k]).nonzero().flatten()
-        again = reception(asked[rows])
+        again = reception(asked[rows], margins=True)
         for name in judge.Reception.__dataclass_fields__:
             a, b = getattr(found, name)[rows], getattr(again, name)
             assert torch.equal(torch.nan_to_num(a.float(), nan=-7), torch.nan_to_num(b.float(), nan=-7)), name

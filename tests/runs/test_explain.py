@@ -8,9 +8,9 @@ from r2h_batch.__main__ import main
 from r2h_batch.config import PRESENTED_M
 from r2h_batch.observe.rig import load_rig
 from r2h_batch.runs import load_run
-from r2h_batch.runs.explain import CALIBRATION_M, explained, headline, presented_words
+from r2h_batch.runs.explain import CALIBRATION_M, ROOMS, explained, headline, presented_words
 from r2h_batch.runs.files import RunError
-from r2h_batch.verdicts import CRITERIA, Outcome
+from r2h_batch.verdicts import CRITERIA, Outcome, Room
 
 LIMITS = {"w_min_m": 0.002, "w_max_m": 0.085, "reach_radius_m": 0.1}
 OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, int(Outcome.INVALID_SIM), 0, 1, 4, 5])
@@ -54,6 +54,12 @@ def run(tmp_path_factory):
          "fails: the open gripper meets the table at the grasp (right inner finger), by 0.9 mm", "a grasp that the table"),
         (row("pick", -0.002, pick_reason="lift_collides", pick_pair="object_table", pick_part=None),
          "fails: the table is in the way up (the object), by 2.0 mm", "a grasp that the table"),
+        (row("received", -0.0032, received_reason="free", margin_kind_received="bound"),
+         "fails: the hand would meet the closed gripper, by at least 3.2 mm", "leaves the hand a grasp"),
+        (row("received", -0.0231, received_reason="way"),
+         "fails: the hand's last 10 cm are blocked: 23.1 mm are left", "leaves the hand a grasp"),
+        (row("received", -np.inf, received_reason="hold", margin_kind_received="cap"),
+         "fails: the hand could not carry it", "leaves the hand a grasp"),
     ],
 )  # fmt: skip
 def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stored, why, passes):
@@ -87,6 +93,23 @@ def test_a_pick_with_less_room_than_a_calibration_errs_by_is_named():
     assert explained({**passed, "margin_pick_m": 0.0009}, "m", LIMITS, "").witness == words
     assert explained({**passed, "margin_pick_m": 0.003}, "m", LIMITS, "").witness == ""
     assert load_rig("cell-v1").sensor.calibration_m == CALIBRATION_M
+
+
+@pytest.mark.parametrize(
+    ("room", "words"),
+    [
+        ("hand", "between hand and gripper"),
+        ("body", "between the person's body and the robot"),
+        ("reach", "of the arm's reach"),
+        ("joints", "of the joints' ranges"),
+    ],
+)
+def test_a_success_says_where_the_person_has_least_room(room, words):
+    stored = {"trial_id": 7, "outcome": "success", "t_exec_s": 4.0, "received_by": room, "margin_received_m": 0.0042}
+    found = explained(stored, "mine", LIMITS, "")
+    assert found.witness == f"4.2 mm {words} is the least room where the person takes it" and found.criterion == ""
+    assert {r.name.lower() for r in Room} == set(ROOMS)
+    assert explained({**stored, "received_by": None}, "mine", LIMITS, "").witness == ""
 
 
 def test_what_is_kept_from_the_head_is_said_where_the_hand_is_not_meant():

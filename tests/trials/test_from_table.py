@@ -27,7 +27,7 @@ from r2h_batch.observe import moments
 from r2h_batch.observe.known import KnownMoments
 from r2h_batch.report.statistics.thresholds import rethreshold
 from r2h_batch.report.table import object_lines, render, table_of
-from r2h_batch.runs.explain import MET, PICKS, RECEIVES, body_name, headline
+from r2h_batch.runs.explain import MET, PICKS, RECEIVES, ROOMS, body_name, headline
 from r2h_batch.runs.store import load_run
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.sweep.command import main as sweep
@@ -40,7 +40,6 @@ from r2h_batch.verdicts import (
     CRITERIA,
     EVERY,
     IN_ORDER,
-    MarginKind,
     Outcome,
     PickReason,
     PlanReason,
@@ -270,10 +269,14 @@ def test_received_is_what_reception_says_of_what_passed_all_else(scores, whole):
         mine, theirs = (getattr(x, name)[:, :n].float().nan_to_num(-9) for x in (whole, scores))
         assert torch.equal(mine, theirs), name
     received = whole.criteria.index("received")
-    found = reception(scores[rows])
+    found = reception(scores[rows], margins=True)
     assert torch.equal(whole.evaluated[:, received], scores.success)
     assert torch.equal(whole.passed[rows, received], found.received) and found.received.any()
     assert torch.equal(whole.receives[rows, 1], found.count[:, -1].int())
+    assert torch.equal(whole.margin[rows, received], found.margin_m) and torch.equal(
+        whole.receives[rows, 2], found.room.int()
+    )
+    assert torch.equal(found.margin_m > 0, found.received) and (found.margin_kind[found.received] > 0).all()
     assert torch.equal(whole.success, whole.evaluated[:, received] & whole.passed[:, received])
     lost = torch.nonzero(~scores.success)[:, 0]
     assert torch.equal(whole.outcome[lost], scores.outcome[lost]) and (whole.receives[lost] == -1).all()
@@ -305,14 +308,17 @@ def test_what_nobody_can_take_fails_received_and_says_why(gives, asked, whole, m
     rows = torch.nonzero(whole.success)[:, 0][:6]
     trials = gives.benchmark.trials_with_ids(trials.trial_id[rows])
 
-    def nobody(scores):
+    def nobody(scores, margins):
         """As reception, but the first five rows fail: at some steps, on the way, and without any known grasp."""
-        found = reception(scores)
+        found = reception(scores, margins=margins)
         count = found.count.clone()
         count[0], count[1, 3:], count[2, 5:], count[4] = 0, 0, 0, 0
         known = found.known.clone()
         known[4] = 0
-        return replace(found, count=count, known=known, received=torch.tensor([False] * 5 + [True]))
+        margin, room = found.margin_m.clone(), found.room.clone()
+        margin[:5], room[:5] = torch.tensor([-0.01, -0.02, -torch.inf, -0.03, -torch.inf]), -1
+        got = torch.tensor([False] * 5 + [True])
+        return replace(found, count=count, known=known, received=got, margin_m=margin, room=room)
 
     monkeypatch.setattr(giving, "reception", nobody)
     found = gives.score(T_obj_ee[rows], T_world_ee[rows], trials)
@@ -321,8 +327,8 @@ def test_what_nobody_can_take_fails_received_and_says_why(gives, asked, whole, m
     words = [ReceiveReason(k).name for k in found.receives[:, 0].tolist()]
     assert words == ["ARM", "CLEAR", "HOLD", "WHOLE_WAY", "NO_GRASP", "OK"]
     received = found.criteria.index("received")
-    assert (found.margin[:5, received] == -torch.inf).all() and 0 < found.margin[5, received] < 1e-3
-    assert (found.margin_kind[:, received] == int(MarginKind.CAP)).all()
+    assert found.margin[:5, received].tolist() == pytest.approx([-0.01, -0.02, -torch.inf, -0.03, -torch.inf])
+    assert found.margin[5, received] > 0 and (found.receives[:5, 2] == -1).all() and found.receives[5, 2] >= 0
 
 
 def test_a_benchmark_may_end_before_the_giving(v3, presents, scores):
@@ -367,6 +373,7 @@ def test_tables_and_words_show_received(folder):
     for row in each([r for r in rows if r["passed_received"] is not None]):
         assert row["passed_received"] == (row["received_reason"] == "ok") == (row["outcome"] == "success")
         assert row["received_grasps"] > 0 or not row["passed_received"]
+        assert (row["received_by"] in ROOMS) == row["passed_received"] == (row["margin_received_m"] > 0)
     blocked = {"outcome": "received", "received_reason": "whole_way"}
     assert headline(blocked) == "received fails: the hand's way from where it waits is blocked"
     assert set(RECEIVES) == {r.name.lower() for r in ReceiveReason} - {"ok"}

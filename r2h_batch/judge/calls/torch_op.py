@@ -68,7 +68,7 @@ _SHAPES: dict[str, tuple[torch.dtype, tuple[int, ...]]] = {
     "path_time_s": (torch.float32, (WIDTH,)),
     "path_len": (torch.int32, ()),
     "pick": (torch.int32, (3,)),
-    "receives": (torch.int32, (2,)),
+    "receives": (torch.int32, (3,)),
 }
 """Per row; what is not listed is one float."""
 
