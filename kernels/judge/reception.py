@@ -68,6 +68,8 @@ TOUCH_M = wp.constant(1.0e-4)
 NEAR_M = wp.constant(0.03)
 FAR_M = wp.constant(0.05)
 """Distances are computed up to these: to know whether bodies meet, for a step of a straight end, for one of the whole way."""
+SLACK_M = wp.constant(1.0e-3)
+"""A distance that was found may be smaller than the true one, by much less than this."""
 MOST_STEPS = wp.constant(256)
 LEAST_STEP = wp.constant(1.0 / 1024.0)
 """Of the way's parameter, where its rooms are measured."""
@@ -478,7 +480,8 @@ def free_straight(
         s += d
         if s >= WAY_M:
             break
-        d = gripper_distance(gripper, hands, row, R, p + s * step, drive, NEAR_M)
+        # after a way of d the hand is no farther away than 2 d
+        d = gripper_distance(gripper, hands, row, R, p + s * step, drive, wp.min(2.0 * d + SLACK_M, NEAR_M))
     return s
 
 
@@ -827,8 +830,9 @@ def farther_on_way(way: Way, t: float, d: float, e: float):
 def gaps_on_way(
     world: World, bodies: TrialBodies, gripper: Gripper, hands: PosedHands, receiver: wp.array2d(dtype=wp.vec4),
     head: wp.array2d(dtype=wp.vec4), links: wp.array(dtype=wp.mat33), origins: wp.array(dtype=wp.vec3), way: Way, t: float,
+    caps: wp.vec2,
 ) -> wp.vec2:  # fmt: skip
-    """Distances (m, up to FAR_M) at t: of hand and gripper; and of arm, torso and head from the robot, or of head and object."""
+    """Distances (m, up to `caps`) at t: of hand and gripper; and of arm, torso and head from the robot, or of head and object."""
     wrist = way.before + (t - 1.0) * (way.target - way.before)
     turn_left = float(0.0)
     if t < 1.0:
@@ -836,14 +840,20 @@ def gaps_on_way(
         turn_left = 1.0 - t
     R_back = wp.quat_to_matrix(wp.quat_from_axis_angle(way.axis, -turn_left * way.angle))
     d = gripper_distance(
-        gripper, hands, way.row, way.R_ee * R_back, way.R_ee * (wrist - R_back * way.target) + way.p_ee, way.drive, FAR_M,
+        gripper, hands, way.row, way.R_ee * R_back, way.R_ee * (wrist - R_back * way.target) + way.p_ee, way.drive, caps[0],
     )  # fmt: skip
     arm = leaned_with_head(receiver, head, way.trial, 0.5 * t * way.lean)
     arm.elbow = way.elbow_waits + 0.5 * t * (way.elbow - way.elbow_waits)
     arm.wrist = way.R_world * wrist + way.p_world
     arm = into_hand_frame(arm, bodies.R_hand_world[way.trial], bodies.p_hand_world[way.trial])
-    e = arm_distance(world, bodies, way.trial, links, origins, arm, FAR_M, 0.0)
-    return wp.vec2(d, wp.min(e, head_distance(world, bodies, way.trial, links, origins, arm, FAR_M, 0.0)))
+    e = arm_distance(world, bodies, way.trial, links, origins, arm, caps[1], 0.0)
+    return wp.vec2(d, wp.min(e, head_distance(world, bodies, way.trial, links, origins, arm, caps[1], 0.0)))
+
+
+@wp.func
+def caps_on_way(gaps: wp.vec2, moved: wp.vec2) -> wp.vec2:
+    """No distance is larger than these (m, up to FAR_M) after hand and body have moved."""
+    return wp.vec2(wp.min(gaps[0] + moved[0] + SLACK_M, FAR_M), wp.min(gaps[1] + moved[1] + SLACK_M, FAR_M))
 
 
 @wp.kernel
@@ -877,14 +887,17 @@ def way_to_grasp(
     )  # fmt: skip
     t = float(0.0)
     free = bool(False)
+    caps = wp.vec2(FAR_M, FAR_M)
     for _ in range(MOST_STEPS):
-        gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, t)
+        gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, t, caps)
         if gaps[0] <= eps or gaps[1] <= TOUCH_M:
             break
         if t >= 2.0:
             free = bool(True)
             break
-        t = farther_on_way(way, t, gaps[0], gaps[1])
+        then = farther_on_way(way, t, gaps[0], gaps[1])
+        caps = caps_on_way(gaps, (then - t) * speeds_on_way(way, t))
+        t = then
     free_out[pair] = free
     left_out[pair] = (2.0 - t) * WAY_M
     if t < 1.0:
@@ -922,12 +935,13 @@ def rooms_on_way(
         hands, grasps, gripper, receiver, head, trial, row_in[pair], turn_in[pair], way_in[pair], object_in[pair],
         attached_in[pair], opening_in[pair], T_world_obj_in[pair], T_world_hand_in[pair], lean_in[pair], elbow_in[pair],
     )  # fmt: skip
+    far = wp.vec2(FAR_M, FAR_M)
     # the grasp first: mostly there is least room, and then steps are long
-    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 2.0)
+    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 2.0, far)
     rooms = gaps - wp.vec2(eps, TOUCH_M)
     nearest = wp.min(rooms[0], rooms[1])
-    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 0.0)
-    along = wp.vec2(FAR_M, FAR_M)
+    gaps = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, 0.0, far)
+    along = far
     t = float(0.0)
     for _ in range(MOST_MEASURED):
         if t >= 2.0:
@@ -938,8 +952,10 @@ def rooms_on_way(
         then = farther_on_way(way, t, gaps[0] - sure, gaps[1] - sure)
         then = wp.max(then, wp.min(t + LEAST_STEP, wp.where(t < 1.0, 1.0, 2.0)))
         # between two places nothing is nearer than both distances and the way between them allow
-        after = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, then)
-        between = 0.5 * (gaps + after - (then - t) * speeds_on_way(way, t))
+        moved = (then - t) * speeds_on_way(way, t)
+        caps = caps_on_way(gaps, moved)
+        after = gaps_on_way(world, bodies, gripper, hands, receiver, head, links, origins, way, then, caps)
+        between = 0.5 * (gaps + after - moved)
         along = wp.vec2(wp.min(along[0], between[0]), wp.min(along[1], between[1]))
         gaps = after
         t = then
