@@ -199,6 +199,13 @@ def _close_pick(row: Mapping[str, Any]) -> str:
     return f"the pick has {1e3 * room:.1f} mm of room{by}, less than the {1e3 * CALIBRATION_M:g} mm that a calibration may err by"
 
 
+def _least_room(row: Mapping[str, Any]) -> str:
+    """Words for what Received's margin is of; empty where nobody was asked to take the object."""
+    if (by := row.get("received_by")) not in ROOMS:
+        return ""
+    return f"{1e3 * row['margin_received_m']:.1f} mm {ROOMS[str(by)]} is the least room where the person takes it"
+
+
 @dataclass(frozen=True)
 class Explanation:
     """Why one trial of one method passed or failed.
@@ -272,7 +279,7 @@ def explained(
 def _witness(row: Mapping[str, Any], criterion: str) -> str:
     """Words for the place where the criterion is decided, as far as the row knows it; of a success what is nearly none."""
     if not criterion:
-        return _close_pick(row)
+        return "; ".join(words for words in (_close_pick(row), _least_room(row)) if words)
     if criterion == "stability" and row.get("width_m") is not None:
         return f"the material between the pads, {1e3 * row['width_m']:.1f} mm along the closing direction"
     if criterion == "safe" and row.get("witness_safe_part"):
@@ -292,9 +299,6 @@ def _witness(row: Mapping[str, Any], criterion: str) -> str:
         return _pick_pair(row)
     if criterion == "received":
         return "the receiving grasps of this object and hand"
-    if not criterion and row.get("received_by") in ROOMS:
-        least = 1e3 * row["margin_received_m"]
-        return f"{least:.1f} mm {ROOMS[row['received_by']]} is the least room where the person takes it"
     if criterion == "presented" and row.get("presented_by") in NEARER:
         allowed = 100 * PRESENTED_M[str(row["split"])]
         return f"{presented_words(row)}; up to {allowed:g} cm is allowed"

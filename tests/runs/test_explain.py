@@ -110,6 +110,8 @@ def test_a_success_says_where_the_person_has_least_room(room, words):
     assert found.witness == f"4.2 mm {words} is the least room where the person takes it" and found.criterion == ""
     assert {r.name.lower() for r in Room} == set(ROOMS)
     assert explained({**stored, "received_by": None}, "mine", LIMITS, "").witness == ""
+    near = {**stored, "passed_pick": True, "margin_pick_m": 0.0009}
+    assert explained(near, "mine", LIMITS, "").witness.endswith(f"may err by; {found.witness}")
 
 
 def test_what_is_kept_from_the_head_is_said_where_the_hand_is_not_meant():
