@@ -36,6 +36,7 @@ RED: Color = (0.86, 0.10, 0.10, 0.85)
 LINE_M = 0.004  # radius of a line
 WIDE_M = 0.009  # radius of the line to a target that is not reached: it begins within the gripper
 SPOT_M = 0.03  # radius of the red ball where the table is met
+TIP_M = 0.006  # where the gripper meets it: a larger one would hide the finger
 YELLOW: Color = (0.95, 0.80, 0.10, 0.6)
 REGION = "object/region_visual"
 FIXED = ("world", "table", "hand", "target", "target_gripper", "receiver")
@@ -469,6 +470,11 @@ class Drawing:
                 found.append(g)
         return found
 
+    def seen_of(self, geom: int) -> int:
+        """The geom that is seen in the place of a robot's collision body (wrist_3_0: wrist_3_visual); -1: none."""
+        name = re.sub(r"_\d+$", "", str(self.model.geom(geom).name)) + "_visual"
+        return int(mujoco.mj_name2id(self.model, mujoco.mjtObj.mjOBJ_GEOM, name))
+
     def body_of(self, geom: int) -> str:
         """The name of the body that carries a geom."""
         return str(self.model.body(int(self.model.geom_bodyid[geom])).name)
@@ -535,7 +541,9 @@ class Drawing:
                 if name == REGION:
                     continue
                 if name.startswith(("table", "receiver/torso")):  # where it is met, not all of it
-                    found.append(Mark("witness", RED, points=point[None], radius_m=SPOT_M))
+                    by_gripper = any(other.startswith("gripper/") for other in witness.geoms)
+                    spot_m = TIP_M if by_gripper else SPOT_M
+                    found.append(Mark("witness", RED, points=point[None], radius_m=spot_m))
                 elif name == HULL:  # the object stays as it is within
                     surface("witness", name, (*RED[:3], HULL_CLEAR))
                 else:

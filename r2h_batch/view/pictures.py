@@ -68,9 +68,12 @@ def painter(drawing: Drawing, size: tuple[int, int], view: View) -> Iterator[Cal
                 model.geom_rgba[geom, 3] = CLEAR
             option.geomgroup[:] = [1, 1, 1, 0, 0, 0]
             option.geomgroup[MARK] = True
-            for mark in drawing.marks:
-                if mark.geom >= 0 and model.geom_group[mark.geom] == MARK:
-                    model.geom_rgba[mark.geom, 3] = mark.rgba[3] if mark.group in groups else 0.0
+            for mark in (m for m in drawing.marks if m.geom >= 0):
+                shown, link = mark.group in groups, drawing.seen_of(mark.geom)
+                if model.geom_group[mark.geom] == MARK:
+                    model.geom_rgba[mark.geom, 3] = mark.rgba[3] if shown else 0.0
+                if shown and mark.group == "witness" and link >= 0:  # its body decides
+                    model.geom_rgba[link] = (*mark.rgba[:3], 1.0)
             data = drawing.at(q)
             for mesh in drawing.reshaped:
                 drawer.load(mesh)

@@ -16,7 +16,7 @@ from r2h_batch.scene.model_parts import VISUAL
 from r2h_batch.sweep.command import main as sweep
 from r2h_batch.view import film as films
 from r2h_batch.view import pictures
-from r2h_batch.view.drawing import Drawing, view_of
+from r2h_batch.view.drawing import LINE_M, RED, TIP_M, Drawing, view_of
 from r2h_batch.view.lab.folder import write_trial
 from r2h_batch.view.lab.sheets import object_sheet
 from r2h_batch.view.page import Drawn
@@ -146,6 +146,14 @@ def test_where_a_pick_fails_the_posture_and_the_pair_of_its_margin_are_drawn(rea
             assert drawing.witness.kind == row["pick_pair"] and drawing.witness.distance_m < 0
             assert row["pick_part"] in str(drawing.witness.geoms)
             assert drawing.witness.least_m == pytest.approx(row["margin_pick_m"])
+            # the link that meets the table is red, and no ball hides it
+            link = drawing.model.geom(drawing.seen_of(drawing.model.geom(drawing.witness.geoms[0]).id))
+            assert link.name == f"{re.sub(r'_[0-9]+$', '', drawing.witness.geoms[0])}_visual"
+            assert {m.radius_m for m in drawing.marks if m.group == "witness"} == {LINE_M, TIP_M}
+            with pictures.painter(drawing, (480, 384), view_of([drawing], 1.25, close=True)) as paint:
+                shown = [paint(stored.target_q, *groups) for groups in ((), ("witness",))]
+                assert np.allclose(drawing.model.geom_rgba[link.id], (*RED[:3], 1.0), atol=1e-6)
+            assert not np.array_equal(*shown)
         if reason == "no_straight_way":
             assert drawing.witness is None and any(m.group == "witness" for m in drawing.marks)
     assert seen >= {"grasp_collides", "out_of_reach"} and len(seen) >= len(WANTED)
