@@ -208,6 +208,19 @@ def test_stopping_early_still_certifies_what_was_asked():
             assert reached[clearly].mean() > 0.999 or relative_gap > 0
 
 
+def test_bounds_of_cores_differ_by_the_share_that_was_asked_for_and_by_more_than_if_none_was():
+    pairs = Pairs(*every_pair_of_kinds(50), np.random.default_rng(15))
+    pairs.put_at(0.03)
+    apart = pairs.truth()[0] > 1e-3
+    radii = sum(x.ball for x in pairs.twin())[apart]
+    gaps = {}
+    for share in (0.0, 0.05, 0.3):
+        lower, upper, _, _ = (x[apart] for x in pairs.run(relative_gap=share))
+        gaps[share] = upper - lower
+        assert np.quantile(gaps[share] - share * (upper + radii), 0.999) <= 1e-5, share
+    assert len(radii) > 1000 and gaps[0.3].mean() > 2 * gaps[0.05].mean() > 20 * gaps[0.0].mean()
+
+
 def test_order_does_not_matter_and_repeating_gives_the_same_bits():
     rng = np.random.default_rng(6)
     pairs = Pairs(*every_pair_of_kinds(50), rng)

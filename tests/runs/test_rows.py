@@ -1,5 +1,7 @@
 """Table rows: the documented schemas for any number of trials."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 import torch
@@ -18,7 +20,7 @@ from r2h_batch.runs.rows import (
     pose_rows,
     score_rows,
 )
-from r2h_batch.types import Outcome
+from r2h_batch.types import CollidingPair, GivenScores, Outcome
 
 
 @pytest.mark.check
@@ -38,6 +40,25 @@ def test_rows_of_any_number_of_trials_have_the_schemas(n):
         table.validate(full=True)
         assert table.schema.equals(schema)
     assert [t.num_rows for t, _ in tables[:4]] == [n] * 4
+
+
+def test_a_pair_is_of_the_path_or_of_what_prevents_one_and_no_grasp_is_a_number():
+    trials = made_trials(4, 0)
+    own = make_scores(trials, np.array([Outcome.SUCCESS, Outcome.PLAN, Outcome.SUCCESS, Outcome.REACH]))
+    pair = [CollidingPair.TABLE, CollidingPair.OBJECT_HAND, CollidingPair.NONE, CollidingPair.HAND]
+    two = {
+        k: torch.cat([getattr(own, k)] + [getattr(own, k)[:, :1]] * 2, 1)
+        for k in ("passed", "evaluated", "margin", "margin_kind")
+    }
+    asked = (
+        {f.name: getattr(own, f.name) for f in fields(own)} | two | {"plan_pair": torch.tensor(pair, dtype=torch.int8)}
+    )
+    receives = torch.tensor([[0, 3], [1, 0], [-1, -1], [0, 1]], dtype=torch.int32)
+    pick = torch.tensor([[0, int(CollidingPair.NONE), -1]] * 4, dtype=torch.int32)
+    rows = score_rows(trials, GivenScores(**asked, pick=pick, receives=receives), NAMES).to_pylist()
+    assert [r["nearest_pair"] for r in rows] == ["table", None, None, "hand"]
+    assert [r["plan_pair"] for r in rows] == [None, "object_hand", None, None]
+    assert [r["received_grasps"] for r in rows] == [3, 0, None, 1]
 
 
 def test_what_the_simulator_failed_on_can_be_run_again_from_its_row():
