@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -27,7 +28,7 @@ from made_runs import (
 from r2h_batch.__main__ import main
 from r2h_batch.runs import verify as verifying
 from r2h_batch.runs.files import RunError, claim
-from r2h_batch.runs.header import run_hash, shard_at
+from r2h_batch.runs.header import Record, checked, run_hash, shard_at
 from r2h_batch.runs.rows import TRIAL_SCHEMA, score_rows
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.verify import mark_for_rerun
@@ -101,6 +102,18 @@ def test_a_run_json_with_an_odd_field_is_one_line(run, capsys, where, value):
         captured = capsys.readouterr()
         assert captured.out == "" and captured.err.count("\n") == 1 and len(captured.err) < 600
         assert "run.json" in captured.err and captured.err[:-1].isprintable()
+
+
+class Sized(Record):
+    size: int
+
+
+def test_a_field_that_is_refused_is_told_with_what_was_given_and_one_that_is_missing_by_its_name_alone():
+    for data, given in (({"size": "seven", "other": "word"}, True), ({"other": "word"}, False)):
+        with pytest.raises(RunError) as refused:
+            checked(Sized, data, Path("run.json"))
+        said = str(refused.value)
+        assert "size" in said and "word" not in said and ("'seven'" in said) == given, said
 
 
 RECEIPT = [
