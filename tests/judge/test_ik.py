@@ -3,15 +3,21 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+import warp as wp
 from needs import needs
 from rounds import each
 
+from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.config import HOME_Q
 from r2h_batch.judge import ik_jacobian
 from r2h_batch.judge.ik import solve_ik, ur_parameters
+from r2h_batch.kernels.ik.step import nearest_turn
+from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.scene.robot_file import load_robot
+
+wp.set_module_options(OPTIONS)
 
 PI = np.pi
 HOME = np.array(HOME_Q)
@@ -131,6 +137,25 @@ def test_joints_stand_at_the_turn_nearest_home_within_limits(result):
         allowed = (other >= robot.lower) & (other <= robot.upper)
         assert (np.abs(other - HOME) >= np.abs(q - HOME) - 1e-6)[allowed].all()
     assert (np.abs(q[:, [0, 1, 3, 4, 5]] - HOME[[0, 1, 3, 4, 5]]) <= PI + 1e-6).all()
+
+
+@wp.kernel(enable_backward=False)
+def turned(
+    angle: wp.array(dtype=wp.float64), home: wp.float64, lower: wp.float64, upper: wp.float64, q_out: wp.array(dtype=float)
+):  # fmt: skip
+    i = wp.tid()
+    q_out[i] = nearest_turn(angle[i], home, lower, upper)
+
+
+def test_an_angle_at_a_limit_is_within_it_after_rounding_to_float32():
+    init_warp()
+    most = 2 * np.pi
+    assert float(np.float32(most)) > most
+    for side in each((1.0, -1.0)):
+        q = wp.zeros(2, dtype=float)
+        inputs = {"angle": np.array([0.0, side * most]), "home": side * most, "lower": -most, "upper": most}
+        launch(turned, 2, inputs=inputs, outputs={"q": q}, device="cpu")
+        assert (np.abs(q.numpy().astype(np.float64)) <= most).all() and np.allclose(q.numpy(), side * most, atol=2e-6)
 
 
 def test_branches_outside_a_range_of_less_than_a_turn_are_invalid(targets, result):
