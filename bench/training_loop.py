@@ -15,6 +15,8 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -43,6 +45,8 @@ MEASURES = (
     "r2h_batch/work.py",
 )
 SIZES = (1, 64, 4096, 65536)
+OF_EACH = (1, 16, 64, 256, 1024, 4096, 16384)
+"""Sizes at which every built-in benchmark is measured."""
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 
 
@@ -129,7 +133,22 @@ def every_benchmark(report: Report, clock: Clock, device: str, threads: int | No
         trials = trials[trials.trial_id.argsort()].to(device)  # S0 and S1 by turns
         made = random.predict(trials, evaluator.scene, seed=0)
         poses = made.T_obj_ee, made.T_world_ee, trials
-        sizes(report, evaluator, poses, clock, SIZES[:3], f"training_loop.random.{name}")
+        figure = f"training_loop.random.{name}"
+        sizes(report, evaluator, poses, clock, OF_EACH, figure)
+        if device == "cpu":
+            for b in OF_EACH:
+                report.add(
+                    f"{figure}.b{b}.memory_mib",
+                    highest_mib(partial(evaluator.score, *repeated(poses, b), stages="pose")),
+                )
+
+
+def highest_mib(call: Callable[[], object]) -> float:
+    """The most memory that this process holds during a call, MiB; all that it held before is a part of it."""
+    Path("/proc/self/clear_refs").write_text("5")  # proc(5): the high-water mark starts again
+    call()
+    (line,) = (x for x in Path("/proc/self/status").read_text().splitlines() if x.startswith("VmHWM"))
+    return int(line.split()[1]) / 1024
 
 
 def run(options: argparse.Namespace, report: Report) -> None:
@@ -171,15 +190,20 @@ BENCH = Bench(
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, str]:
-    """The table of benchmarks on the page."""
-    names = dict.fromkeys((DEFAULT_BENCHMARK, *BENCHMARK_NAMES))
-    values, sizes = data["values"], (1, 64, 4096)
-    rows = [
-        [name, *(f"{values[f'training_loop.random.{name}.b{b}.core_us_per_candidate']:,.0f}" for b in sizes)]
-        for name in names
-        if f"training_loop.random.{name}.b1.core_us_per_candidate" in values
-    ]
-    return {"benchmarks": markdown_table(["benchmark", *(f"B = {b:,}" for b in sizes)], rows)}
+    """The tables of benchmarks on the page: time of a candidate, and memory of a call."""
+    names, values = dict.fromkeys((DEFAULT_BENCHMARK, *BENCHMARK_NAMES)), data["values"]
+
+    def table(figure: str) -> str:
+        own = {name: f"training_loop.random.{name}" for name in names}
+        of = [b for b in OF_EACH if f"{own[DEFAULT_BENCHMARK]}.b{b}.{figure}" in values]
+        rows = [
+            [name, *(f"{values[f'{stem}.b{b}.{figure}']:,.0f}" for b in of)]
+            for name, stem in own.items()
+            if of and f"{stem}.b{of[0]}.{figure}" in values
+        ]
+        return markdown_table(["benchmark", *(f"B = {b:,}" for b in of)], rows)
+
+    return {"benchmarks": table("core_us_per_candidate"), "memory": table("memory_mib")}
 
 
 if __name__ == "__main__":
