@@ -10,7 +10,7 @@ from problems import Batch, assert_same, default_evaluator
 from rounds import each
 from scipy.spatial.transform import Rotation
 from seven import with_hulls
-from slopes import candidates, gradients, measured_slopes
+from slopes import STEPS, candidates, gradients, measured_slopes
 
 from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base import se3, twist
@@ -74,6 +74,41 @@ def test_a_gradient_is_the_evaluators_own_difference_of_every_criterion(name):
         assert (error < 2e-3).all(), f"{criterion}: {error.max()}"
         assert (expected[rows, c].abs().amax(1) > 0.05).sum() >= 5, criterion
         assert not slopes[~rows, c].any()
+
+
+@pytest.mark.parametrize("name", ["r2h-v2", "r2h-v3"])
+@pytest.mark.parametrize(("rows", "entries"), [(6, 60), pytest.param(48, 200, marks=pytest.mark.slow)])
+def test_random_entries_agree_with_differences_over_a_tenth_of_the_way(name, rows, entries):
+    """Of all that the benchmark asks for. Where a margin runs straight through a difference no nearest body changes, and its
+    slope at the pose is the same."""
+    benchmark = load_benchmark(name)
+    evaluator, trials = Evaluator(benchmark, AS_PLANNED), benchmark.trials_with_ids(torch.arange(rows))
+    poses = random.predict(trials, evaluator.scene, seed=0)
+    batch = Batch(trials, poses.T_obj_ee, poses.T_world_ee)
+    scores, slopes = gradients(evaluator, batch)
+    cells = torch.nonzero((scores.evaluated & scores.margin.isfinite())[:, :, None].expand(-1, -1, 12))
+    cells = cells[torch.randperm(len(cells), generator=torch.Generator().manual_seed(1))[:entries]]
+    row, criterion, way = cells.T
+    half, lever = STEPS[way].double(), torch.tensor([1.0, 0.1]).double()[way % 6 // 3]  # a radian counts 10 cm
+
+    def margin(share: float) -> torch.Tensor:
+        """At a share of the gradient's own step, forward along each entry's twist."""
+        xi = torch.zeros(len(cells), 12)
+        xi[torch.arange(len(cells)), way] = share * STEPS[way]
+        moved = (
+            twist.retract(T[row], part).contiguous()
+            for T, part in zip((batch.T_obj_ee, batch.T_world_ee), xi.split(6, 1), strict=True)
+        )
+        found = evaluator.score(*moved, trials[row], stages="pose").margin
+        return found[torch.arange(len(cells)), criterion].double()
+
+    back, here, ahead = (margin(share) for share in (-1.0, 0.0, 1.0))
+    straight = ((ahead - here) - (here - back)).abs() < 0.05 * lever * half
+    near = (margin(0.1) - margin(-0.1)) / (0.2 * half)
+    agrees = (slopes[row, criterion, way] - near).abs() <= 0.03 * lever + 0.05 * near.abs()
+    assert len(cells) == entries and (near.abs() > 0.1 * lever).double().mean() > 0.2
+    assert straight.double().mean() > 0.7 and agrees.double().mean() > 0.85
+    assert agrees[straight].double().mean() > 0.97  # depths of overlaps are bounds, to 1 %
 
 
 def test_one_pose_alone_has_the_gradient_that_it_has_beside_the_other(batch):
