@@ -78,23 +78,36 @@ def judged(
 
 def scored(work: Work, stages: tuple[Stage, ...], calls: RepeatedCalls) -> Scores:
     """The scores of one chunk; a small one is recorded, and replayed where it comes back."""
-    trials = work.trials
+    trials, own = work.trials, asked(stages, work.scene.benchmark.asks)
     poses = work.T_obj_ee.contiguous(), work.T_world_ee.contiguous()
-    if not all(stage.records for stage in asked(stages, work.scene.benchmark.asks)):
+    if not all(stage.records for stage in own):
         found = work.of(*poses, trials._changed(Tensor.contiguous)).through(stages).fields
         return scores_of(trials.trial_id, found)
     of_trials = trials._tensors()
     of_trials.pop("person", None)  # no stage looks at it
+    if any(stage.rests for stage in own):  # drawn by code that no recording repeats
+        of_trials = {"T_world_obj": work.of(*poses, trials).resting, **of_trials}
     inputs = *poses, *(x.contiguous() for x in of_trials.values())
     if 0 < len(trials) <= SMALL_ROWS and not work.T_obj_ee.is_cuda:
-        kept = calls(partial(fields_of, work, stages), *inputs)
+        kept = calls(partial(fields_of, work, stages, tuple(of_trials)), *inputs)
         return scores_of(trials.trial_id, {name: x.clone() for name, x in kept.items()})
-    return scores_of(trials.trial_id, fields_of(work, stages, *inputs))
+    return scores_of(trials.trial_id, fields_of(work, stages, tuple(of_trials), *inputs))
 
 
 def fields_of(
-    work: Work, stages: tuple[Stage, ...], T_obj_ee: Tensor, T_world_ee: Tensor, *of_trials: Tensor
+    work: Work,
+    stages: tuple[Stage, ...],
+    names: tuple[str, ...],
+    T_obj_ee: Tensor,
+    T_world_ee: Tensor,
+    *values: Tensor,
 ) -> dict[str, Tensor]:
     """The fields of `Scores` of these poses and trials, which are all that may differ from call to call; stages that
-    can be recorded launch nothing but kernels."""
-    return work.of(T_obj_ee, T_world_ee, Trials(*of_trials)).through(stages).fields
+    can be recorded launch nothing but kernels. `names`: what the values are, of trials and `T_world_obj`."""
+    given = dict(zip(names, values, strict=True))
+    T_world_obj = given.pop("T_world_obj", work.T_world_obj)
+    return (
+        work.of(T_obj_ee, T_world_ee, Trials(**given), T_world_obj=T_world_obj)
+        .through(stages)
+        .fields
+    )

@@ -256,7 +256,7 @@ def tell_posture(w: Work) -> None:
 def tell_pick(w: Work) -> None:
     """The columns of Pick beside its criterion's."""
     assert w.picked is not None  # the benchmark asks
-    w.fields["pick"] = torch.stack([w.picked.reason, w.picked.pair, w.picked.body], 1)
+    w.fields["pick"] = w.picked.column
 
 
 def tell_nobody_takes(w: Work) -> None:
@@ -274,13 +274,10 @@ def receive(w: Work) -> None:
 GRASP = Stage(grasp)
 JUDGE = (Stage(count_body), Stage(shake), Stage(present), Stage(criteria))
 PICK = Stage(pick, asks="pick", records=False)
-PICK_POSE = Stage(partial(pick, ways=False), asks="pick", records=False)
+PICK_POSE = Stage(partial(pick, ways=False), asks="pick", rests=True)
 PLAN, BELIEVE, MOVE = (Stage(run, records=False) for run in (plan, believe, move))
 FOLLOW, CLEAR = (Stage(run, records=False) for run in (follow, keep_clear))
-TELL = (
-    Stage(tell_pick, asks="pick", records=False),
-    Stage(tell_nobody_takes, asks="received", records=False),
-)
+TELL = (Stage(tell_pick, asks="pick"), Stage(tell_nobody_takes, asks="received"))
 TELL_MOTION = (*TELL, Stage(tell_motion, records=False))
 
 PLANNED = (GRASP, PICK, PLAN, MOVE, CLEAR, *JUDGE, *TELL_MOTION)

@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float32, Float64, Int32
 from torch import Tensor
 
 from r2h_batch.config import EvalConfig
-from r2h_batch.judge.attach import AttachedBatch
+from r2h_batch.judge.attach import AttachedBatch, usable_rows
 from r2h_batch.judge.distance import NearestApproach
 from r2h_batch.judge.goal import Goal
 from r2h_batch.judge.presented import Presented
@@ -105,10 +105,15 @@ class Work:
         if self.T_world_obj is None:
             from r2h_batch.observe.known import known_moments
 
-            active = torch.nonzero(self.held.active)[:, 0]
+            known, poses = known_moments(self.scene), (self.T_obj_ee, self.T_world_ee)
+            usable = usable_rows(self.scene, *poses, self.trials)
+            active = torch.nonzero(usable["active"])[:, 0]
+            if len(active) == len(self.trials):
+                self.T_world_obj = known.of(self.trials)
+                return self.T_world_obj
             eye = torch.eye(4, dtype=torch.float32, device=active.device)
             self.T_world_obj = eye.repeat(len(self.trials), 1, 1)
-            self.T_world_obj[active] = known_moments(self.scene).of(self.trials[active])
+            self.T_world_obj[active] = known.of(self.trials[active])
         return self.T_world_obj
 
 
@@ -120,6 +125,7 @@ class Stage(NamedTuple):
         ""  # the criterion for which a benchmark has to ask; empty: every one has this stage
     )
     records: bool = True  # it may be a part of a recorded call (`base.launch.repeated`)
+    rests: bool = False  # it reads `Work.resting`, which a recorded call is given
 
 
 @lru_cache(maxsize=64)

@@ -146,3 +146,11 @@ def pose_rows(
     path_len_out[row] = 0
     motion_len_out[row] = 0
     body_m_out[row] = wp.nan
+
+
+@wp.kernel
+def nobody_takes(first: int, receives_out: wp.array2d(dtype=int)):
+    """Rows that nobody was asked to take."""
+    row = first + wp.tid()
+    for k in range(receives_out.shape[1]):
+        receives_out[row, k] = -1

@@ -45,6 +45,41 @@ class AttachedBatch:
     planner_poses: BodyPoses
 
 
+def usable_rows(
+    scene: Scene,
+    T_obj_ee: Float32[Tensor, "b 4 4"],
+    T_world_ee: Float32[Tensor, "b 4 4"],
+    trials: Trials,
+) -> dict[str, Tensor]:
+    """Which rows are `active`: all three poses are poses, of an object and a hand of the scene. And these poses and numbers,
+    clean, by the names of `row_kernels.usable_rows`; the identity and 0 in rows that are not.
+
+    Args:
+        scene: objects and hands.
+        T_obj_ee: (B, 4, 4) float32, m.
+        T_world_ee: (B, 4, 4) float32, m; or another pose in the world.
+        trials: B trials.
+    """
+    poses = [
+        (T.detach() if T.requires_grad else T).contiguous()
+        for T in (T_obj_ee, T_world_ee, trials.T_world_hand)
+    ]
+    # On a CPU objects and hands outside the scene were refused before any work; on CUDA looking at
+    # them would have waited.
+    found: dict[str, Tensor] = over_trials(
+        row_kernels.usable_rows, len(poses[0]), scene.device, chunk=ROWS_CHUNK
+    )(
+        objects=len(scene.objects),
+        hands=len(scene.hands.set),
+        T_obj_ee=poses[0],
+        T_world_ee=poses[1],
+        T_world_hand=poses[2],
+        object=trials.object_index.contiguous(),
+        hand=trials.hand_index.contiguous(),
+    )
+    return found
+
+
 def attach_object(
     scene: Scene,
     T_obj_ee: Float32[Tensor, "b 4 4"],
@@ -62,21 +97,7 @@ def attach_object(
         trials: B trials.
         config: limits, and what the planner sees of the person.
     """
-    poses = [
-        (T.detach() if T.requires_grad else T).contiguous()
-        for T in (T_obj_ee, T_world_ee, trials.T_world_hand)
-    ]
-    # On a CPU objects and hands outside the scene were refused before any work; on CUDA looking at
-    # them would have waited.
-    usable = over_trials(row_kernels.usable_rows, len(poses[0]), scene.device, chunk=ROWS_CHUNK)(
-        objects=len(scene.objects),
-        hands=len(scene.hands.set),
-        T_obj_ee=poses[0],
-        T_world_ee=poses[1],
-        T_world_hand=poses[2],
-        object=trials.object_index.contiguous(),
-        hand=trials.hand_index.contiguous(),
-    )
+    usable = usable_rows(scene, T_obj_ee, T_world_ee, trials)
     active, objects, hands = (usable[k] for k in ("active", "object", "hand"))
     T_obj_ee, T_world_ee, T_world_hand = (
         usable[k] for k in ("T_obj_ee", "T_world_ee", "T_world_hand")

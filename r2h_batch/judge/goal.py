@@ -91,7 +91,7 @@ def judge_goals(
         status=ik.status,
         **postures,
     )
-    goal = _measured(scene, body_poses, T_world_ee, ik, postures, active, **chosen)
+    goal = measured(scene, body_poses, T_world_ee, ik, postures, active, **chosen)
     if scene.robot.family == "ur":  # the kernel knows what is proven
         return goal
     return replace(goal, reason=weaken_singular_reason(goal.reason, ik))
@@ -110,18 +110,18 @@ def failed_clearance(
 
     -inf where no length says it: no path within the budget. Rows with a path: -inf too.
     """
-    measured = torch.zeros_like(reason, dtype=torch.bool)
+    rows = torch.zeros_like(reason, dtype=torch.bool)
     for why in MEASURED:
-        measured |= reason == int(why)
-    reason = torch.where(measured, reason, int(PlanReason.NOT_EVALUATED))
+        rows |= reason == int(why)
+    reason = torch.where(rows, reason, int(PlanReason.NOT_EVALUATED))
     found = {
         "reason": reason,
         "pair": torch.zeros_like(reason),
         "slot": torch.full_like(reason, -1),
     }
     postures = {"valid": branches.contiguous(), "q": ik.q.flatten(0, 1)}
-    goal = _measured(scene, body_poses, T_world_ee, ik, postures, measured, **found)
-    return torch.where(measured, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
+    goal = measured(scene, body_poses, T_world_ee, ik, postures, rows, **found)
+    return torch.where(rows, goal.clearance_m.clamp(min=-FARTHEST_M), -torch.inf)
 
 
 def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[Tensor, " b"]:
@@ -143,7 +143,7 @@ def weaken_singular_reason(reason: Int32[Tensor, " b"], ik: IkResult) -> Int32[T
     return reason
 
 
-def _measured(
+def measured(
     scene: Scene,
     body_poses: BodyPoses,
     T_world_ee: Float32[Tensor, "b 4 4"],
@@ -156,7 +156,19 @@ def _measured(
     slot: Int32[Tensor, " b"],
 ) -> Goal:
     """Goals of known reason and slot: the clearance and what it is attained by; where no branch is
-    free also the posture itself. Writes into `pair` and `slot`."""
+    free also the posture itself. Writes into `pair` and `slot`.
+
+    Args:
+        scene: robot, objects and hands.
+        body_poses: of B trials.
+        T_world_ee: (B, 4, 4) float32 poses of the ee, m.
+        ik: all branches.
+        postures: `valid` (B, 8), the branches that may be used, and `q` (B * 8, J), rad.
+        active: (B,) rows to measure.
+        reason: (B,) `PlanReason`.
+        pair: (B,) `CollidingPair` that is known already.
+        slot: (B,) of the free branch; -1: none.
+    """
     b, home = len(active), scene.config.workplace.home_q
     # a posture for targets that no branch reaches ...
     if isinstance(ik, SearchedIk):

@@ -230,7 +230,7 @@ def plan(e: Evidence) -> Criterion:
     where its clearance was only sampled. Where the object has to be picked first and is not, nothing is planned.
     """
     judged = e.held.active
-    if e.picked is not None:
+    if e.picked is not None and e.goal_reached is not None:  # a posture is judged all the same
         judged = judged & (e.reason != int(PlanReason.NOT_EVALUATED))
     return Criterion(
         e.clearance_m,
@@ -326,8 +326,14 @@ def received(e: Evidence) -> Criterion:
 
     Judged once all before it have passed (`received.given`): by nothing here.
     """
-    nothing = torch.full_like(e.clearance_m, torch.nan)
-    return Criterion(nothing, torch.zeros_like(e.held.active))
+    return Criterion(*_not_judged(len(e.held.active), e.held.active.device))
+
+
+@lru_cache(maxsize=16)
+def _not_judged(b: int, device: torch.device) -> tuple[Float32[Tensor, " b"], Bool[Tensor, " b"]]:
+    """Number and `evaluated` of rows that are judged by nothing here. Nobody writes to them."""
+    number = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
+    return number, torch.zeros(b, dtype=torch.bool, device=device)
 
 
 _NO_PICK = {

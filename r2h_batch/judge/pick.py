@@ -3,19 +3,20 @@ gripper, close, and 10 cm straight up. Geometric and certified, as Plan is; a cr
 
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float32, Int32
 from torch import Tensor
 
-from r2h_batch.base import se3
 from r2h_batch.base.io.progress import busy, progress
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.launch.threads import one_torch_thread
+from r2h_batch.config import FARTHEST_M
+from r2h_batch.judge.attach import ROWS_CHUNK, usable_rows
 from r2h_batch.judge.fingers_way import fingers_way, heights
-from r2h_batch.judge.goal import failed_clearance
+from r2h_batch.judge.goal import measured
 from r2h_batch.judge.grasp import (
     CUT_CAP_M,
     Grasp,
@@ -23,12 +24,12 @@ from r2h_batch.judge.grasp import (
     close_gripper,
     way_in_clearance,
 )
-from r2h_batch.judge.ik import home_posture, solve_ik
+from r2h_batch.judge.ik import IkResult, home_posture, solve_ik
 from r2h_batch.judge.inputs import check_benchmark, check_indices, check_receiver, checked_inputs
 from r2h_batch.judge.least import SHARE, TOLERANCE_M, least_along
 from r2h_batch.judge.plan import Plan, path_clearances, plan_paths, random_key
 from r2h_batch.judge.straight_way import STEPS, WAY_M, Ways, resampled, straight_ways
-from r2h_batch.kernels.judge.rows import usable_rows
+from r2h_batch.kernels.judge import pick as kernels
 from r2h_batch.kernels.plan.codes import BRANCHES, WAYPOINTS
 from r2h_batch.scene.person import with_person
 from r2h_batch.scene.resting import among, with_resting, without
@@ -76,6 +77,15 @@ class Picked:
 
     def __getitem__(self, rows: Any) -> "Picked":
         return Picked(*(getattr(self, f.name)[rows] for f in fields(Picked)))
+
+    @property
+    def column(self) -> Int32[Tensor, "b 3"]:
+        """Reason, pair and body side by side, as `Scores.pick` has them."""
+        run = over_trials(
+            kernels.pick_columns, len(self.reason), str(self.reason.device), sizes={"pick": 3}, chunk=ROWS_CHUNK
+        )  # fmt: skip
+        column: Tensor = run(reason=self.reason, nearest=self.pair, part=self.body)["pick"]
+        return column
 
     @property
     def lifted(self) -> Float32[Tensor, "b j"]:
@@ -130,8 +140,11 @@ def judge_picks(
     parts = []
     for i in range(0, max(len(trials), 1), ROWS):
         grasp, rest = (x[i : i + ROWS].detach() for x in (T_obj_ee, T_world_obj))
-        parts.append(_Batch.of(scene, grasp, rest, trials[i : i + ROWS]).judged(ways))
+        own = trials if len(grasp) == len(trials) else trials[i : i + ROWS]
+        parts.append(_Batch.of(scene, grasp, rest, own).judged(ways))
         told(len(grasp))
+    if len(parts) == 1:
+        return parts[0]
     return Picked(*(torch.cat([getattr(p, f.name) for p in parts]) for f in fields(Picked)))
 
 
@@ -254,24 +267,19 @@ class _Batch:
     T_world_obj: Tensor
     T_world_ee: Tensor
     T_world_hand: Tensor
+    open_m: Tensor  # the gap of the open gripper
 
     @staticmethod
     def of(scene: Scene, T_obj_ee: Tensor, T_world_obj: Tensor, trials: Trials) -> "_Batch":
         """Rows whose poses are poses are active."""
-        usable = over_trials(usable_rows, len(trials), scene.device, chunk=4096)(
-            objects=len(scene.objects),
-            hands=len(scene.hands.set),
-            T_obj_ee=T_obj_ee.contiguous(),
-            T_world_ee=T_world_obj.contiguous(),
-            T_world_hand=trials.T_world_hand.detach().contiguous(),
-            object=trials.object_index.contiguous(),
-            hand=trials.hand_index.contiguous(),
+        usable = usable_rows(scene, T_obj_ee, T_world_obj, trials)
+        T_obj_ee, T_world_obj = usable["T_obj_ee"], usable["T_world_ee"]
+        placed = over_trials(kernels.place_grasps, len(trials), scene.device, chunk=ROWS_CHUNK)(
+            open_gap=scene.robot.open_gap_m, T_world_obj=T_world_obj, T_obj_ee=T_obj_ee
         )
-        T_obj_ee = usable["T_obj_ee"]
-        T_world_ee = se3.matmul(usable["T_world_ee"], T_obj_ee)
         return _Batch(
-            scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee,
-            usable["T_world_ee"], T_world_ee, usable["T_world_hand"],
+            scene, trials, usable["active"], usable["object"], usable["hand"], T_obj_ee, T_world_obj,
+            placed["T_world_ee"], usable["T_world_hand"], placed["opening"],
         )  # fmt: skip
 
     def some(self, rows: Tensor) -> "_Batch":
@@ -281,64 +289,66 @@ class _Batch:
 
     def judged(self, ways: bool) -> Picked:
         """All stages, or the first two; a row goes on to the next one if no earlier stage fails."""
+        ik, found = self._at_grasp()
+        if not ways:
+            return found
+        free = torch.nonzero(found.picked).flatten()
+        rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
+        b = len(self.objects)
+
+        def put(name: str, value: float) -> Tensor:
+            x: Tensor = getattr(rest, name)
+            out = torch.full((b, *x.shape[1:]), value, dtype=x.dtype, device=x.device)
+            out[free] = x
+            return out
+
+        judged = {f: getattr(found, f) for f in ("picked", "reason", "margin_m", "pair", "body")}
+        for name, x in judged.items():
+            x[free] = getattr(rest, name)
+        walked = {name: put(name, torch.nan) for name in ("off_m", "way_in", "way_up")}
+        walked |= {name: put(name, 0) for name in ("path", "length")}
+        return Picked(**judged, T_world_ee=self.T_world_ee, **walked)
+
+    def _at_grasp(self) -> tuple[IkResult, Picked]:
+        """All branches at the grasps, and the first two stages: is one within reach, and is the open gripper free there, wherever
+        the arm is? Nothing but kernels over the rows: a small call is recorded with it (`base.launch.repeated`)."""
         scene, b = self.scene, len(self.objects)
-        # reach
         ik = solve_ik(
             self.T_world_ee,
             active=self.active,
             robot=scene.robot,
             home=scene.config.workplace.home_q,
         )
-        reach = ik.valid.any(1)
-        missed = torch.full_like(self.objects, int(PlanReason.IK_UNREACHABLE))
-        missed = torch.where(reach | ~self.active, int(PlanReason.NOT_EVALUATED), missed)
-        missed_m = failed_clearance(
-            scene, self._people, self.T_world_ee, ik, ik.valid,
-            missed.to(torch.int32),
+        joints = ik.q.shape[2]
+        postures = {"valid": ik.valid.contiguous(), "q": ik.q.flatten(0, 1)}
+        sizes = {"posture": (1, joints)}
+        at = over_trials(kernels.first_branches, b, scene.device, sizes=sizes, chunk=ROWS_CHUNK)(
+            active=self.active, **postures
+        )
+        reason, pair, slot = (at[k] for k in ("reason", "pair", "slot"))
+        missed = measured(
+            scene, self._placed, self.T_world_ee, ik, postures, at["missed"], reason=reason, pair=pair, slot=slot
         )  # fmt: skip
-        reason = torch.where(reach, int(PickReason.OK), int(PickReason.OUT_OF_REACH))
-        found = _margin(torch.where(reach, CUT_CAP_M, missed_m))
-        # the open gripper at the grasp, wherever the arm is
-        at = torch.nonzero(reach).flatten()
-        q = ik.q[at, ik.valid[at].to(torch.int8).argmax(1)]
-        touching = self._gripper_at(at, q)
-        met = touching.clearance_m <= 0
-        found.put((at,), touching)
-        reason[at[met]] = int(PickReason.GRASP_COLLIDES)
-
-        free = at[~met]
-        none = ik.q[:0, :0]  # (0, 0, J)
-        walked = {"off_m": ik.q[:0, 0, 0], "length": reason[:0].to(torch.int32)}
-        walked |= dict.fromkeys(("path", "way_in", "way_up"), none)
-        if ways:
-            rest = self.some(free)._from_here(ik.q[free], ik.valid[free])
-            reason[free] = rest.reason.long()
-            found.put((free,), _Nearest(rest.margin_m, rest.pair, rest.body))
-            walked = {name: getattr(rest, name) for name in walked}
-
-        def spread(x: Tensor, value: float) -> Tensor:
-            out = torch.full((b, *x.shape[1:]), value, dtype=x.dtype, device=x.device)
-            if ways:
-                out[free] = x
-            return out
-
-        reason[~self.active] = int(PickReason.NOT_EVALUATED)
-        nothing = _margin(torch.full_like(found.clearance_m, torch.nan))
-        found = _Nearest(
-            *(torch.where(self.active, x, y) for x, y in zip(found, nothing, strict=True))
+        touching = path_clearances(
+            scene, self._gripper, at["posture"], at["length"], cap_m=CUT_CAP_M
         )
-        return Picked(
-            picked=reason == int(PickReason.OK),
-            reason=reason.to(torch.int32),
-            margin_m=found.clearance_m,
-            pair=found.pair,
-            body=found.body,
-            T_world_ee=self.T_world_ee,
-            **{
-                name: spread(x, 0 if name in ("path", "length") else torch.nan)
-                for name, x in walked.items()
-            },
+        made = over_trials(kernels.judge_grasps, b, scene.device, chunk=ROWS_CHUNK)(
+            cap=CUT_CAP_M,
+            farthest=FARTHEST_M,
+            ok=int(PickReason.OK),
+            not_evaluated=int(PickReason.NOT_EVALUATED),
+            out_of_reach=int(PickReason.OUT_OF_REACH),
+            collides=int(PickReason.GRASP_COLLIDES),
+            active=self.active,
+            length=at["length"],
+            missed=missed.clearance_m,
+            **dict(zip(("clearance", "nearest", "part"), touching, strict=True)),
         )
+        found = Picked(
+            made["picked"], made["reason"], made["margin"], made["pair"], made["body"],
+            T_world_ee=self.T_world_ee, **_no_ways(b, joints, self.active.device),
+        )  # fmt: skip
+        return ik, found
 
     def followed(self, planned: Picked) -> Picked:
         """`follow_picks` of these rows."""
@@ -528,12 +538,18 @@ class _Batch:
         return torch.arange(len(self.objects), dtype=torch.int64, device=self.active.device)
 
     @cached_property
+    def _placed(self) -> BodyPoses:
+        """All rows with the open gripper, in the scene's tables."""
+        return self.scene.body_poses(
+            self.objects, self.hands, self.T_obj_ee, self.T_world_hand, self.open_m
+        )
+
+    @cached_property
     def _people(self) -> BodyPoses:
         """All rows, the person waiting beside table, robot and attached object."""
-        poses = self._bare(self._every, self._open(self._every))
         if self.trials.receiver is None:
-            return poses
-        return with_person(self.scene, poses, self.trials.receiver, hand=True)
+            return self._placed
+        return with_person(self.scene, self._placed, self.trials.receiver, hand=True)
 
     @cached_property
     def _empty(self) -> BodyPoses:
@@ -543,7 +559,10 @@ class _Batch:
     @cached_property
     def _gripper(self) -> BodyPoses:
         """The empty gripper alone, with table and person."""
-        return without(self.scene, self._empty, arm=True)
+        alone, receiver = self.scene.world_of_gripper, self.trials.receiver
+        if receiver is None:
+            return replace(self._placed, world=alone)
+        return with_person(self.scene, self._placed, receiver, hand=True, base=alone)
 
     @cached_property
     def _gripper_beside_person(self) -> BodyPoses:
@@ -558,8 +577,7 @@ class _Batch:
     @cached_property
     def _resting(self) -> BodyPoses:
         """The robot and the resting object alone."""
-        poses = self._bare(self._every, self._open(self._every))
-        alone = without(self.scene, poses, attached=True, table=True, others=True)
+        alone = without(self.scene, self._placed, attached=True, table=True, others=True)
         return with_resting(self.scene, alone, self.T_world_obj)
 
     @cached_property
@@ -578,7 +596,7 @@ class _Batch:
 
     def _open(self, rows: Tensor) -> Tensor:
         """The gap of the open gripper, for each of these rows."""
-        return torch.full_like(self.T_world_ee[rows, 0, 0], self.scene.robot.open_gap_m)
+        return self.open_m[rows]
 
     def _gripper_at(self, rows: Tensor, q: Tensor) -> _Nearest:
         """Clearances (R,) of the open gripper alone at posture q, from table and person."""
@@ -745,6 +763,15 @@ class _Batch:
                 _Nearest(*path_clearances(self.scene, poses, path, length, cap_m=CUT_CAP_M))
             )
         return found[0].nearer(found[1].of(CollidingPair.OBJECT_ROBOT))
+
+
+@lru_cache(maxsize=16)
+def _no_ways(b: int, joints: int, device: torch.device) -> dict[str, Tensor]:
+    """What `Picked` has of rows whose ways were not asked for."""
+    off_m = torch.full((b,), torch.nan, dtype=torch.float32, device=device)
+    path = torch.empty((b, 0, joints), dtype=torch.float32, device=device)
+    length = torch.zeros((b,), dtype=torch.int32, device=device)
+    return {"off_m": off_m, "path": path, "length": length, "way_in": path, "way_up": path}
 
 
 class _Stages:

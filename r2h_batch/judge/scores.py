@@ -182,7 +182,10 @@ def _kind(found: dict[str, Tensor]) -> type[Scores]:
 
 def not_given(b: int, device: torch.device) -> dict[str, Tensor]:
     """The fields of `GivenScores` of B rows that nobody was asked to take."""
-    return {"receives": torch.full((b, 3), -1, dtype=torch.int32, device=device)}
+    made: dict[str, Tensor] = over_trials(
+        kernels.nobody_takes, b, str(device), sizes={"receives": 3}, chunk=ROWS_CHUNK
+    )()
+    return made
 
 
 def judged_later(

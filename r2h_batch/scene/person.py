@@ -80,15 +80,18 @@ def with_person(
     *,
     hand: bool,
     head: Float32[Tensor, "b 2 4"] | None = None,
+    base: Any = None,
 ) -> BodyPoses:
     """The same trials with the person's pieces: beside the hand's, or (not `hand`) alone before the
     bare robot.
 
     Alone means: no hand, no table, no object, no pairs of the robot with itself: what is then
     nearest is robot and person. `head`: of `heads_of`, where the receiver's arm has moved since; None: the receiver's.
+    `base`: the `World` beside which the person stands, with the scene's hands; None: the scene's, or that of the bare robot.
     The head is grown by what robot and object keep from it (`Benchmark.head_clearance_m`).
     """
-    base = scene.world if hand else scene.world_of_robot
+    if base is None:
+        base = scene.world if hand else scene.world_of_robot
     of_hand = int(base.n_pieces) if hand else 0
     pieces = of_hand + len(PIECES)
     sizes = dict.fromkeys(_OF_PIECES, pieces) | {"own_points": len(PIECES) * int(BLOCK_POINTS)}

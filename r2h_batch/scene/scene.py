@@ -255,6 +255,19 @@ class Scene:
         return world
 
     @cached_property
+    def world_of_gripper(self) -> Any:
+        """The same with the empty gripper alone: no links before it, no object, no pairs of the robot with itself."""
+        world: Any = self.sized(World)()
+        world.assign(self.world)
+        first = world.link_first.numpy().copy()
+        first[:-1] = first[-2]
+        world.link_first = wp.array(first, dtype=wp.int32, device=self.device)
+        for name in ("self_links", "hull_first"):
+            n = getattr(world, name).shape[0]
+            setattr(world, name, wp.zeros(n, dtype=wp.int32, device=self.device))
+        return world
+
+    @cached_property
     def hull_balls(self) -> wp.array:
         """For each object hull the centre (object frame) and the radius of the largest ball inside
         it."""

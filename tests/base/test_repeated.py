@@ -19,6 +19,7 @@ from r2h_batch.config import CLEARANCE_CAP_M
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.launching import SMALL_ROWS
+from r2h_batch.methods import random
 from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.types import Scores
 
@@ -26,8 +27,10 @@ N = 260
 
 
 def equal(a: Scores, b: Scores) -> bool:
-    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in fields(Scores)]
-    return all(x.dtype == y.dtype and torch.equal(x.nan_to_num(7.0), y.nan_to_num(7.0)) for x, y in pairs)
+    pairs = [(getattr(a, f.name), getattr(b, f.name)) for f in fields(a)]
+    return type(a) is type(b) and all(
+        x.dtype == y.dtype and torch.equal(x.nan_to_num(7.0), y.nan_to_num(7.0)) for x, y in pairs
+    )
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +66,18 @@ def test_small_calls_of_any_order_and_size_have_the_bits_of_a_large_one(poses, w
         assert equal(scores, whole[some]), some
 
 
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Rows of each call whose code runs; a recorded call is not there."""
+    ran, judge = [], launching.fields_of
+
+    def one(work: Any, stages: Any, names: Any, *inputs: Any) -> Any:
+        ran.append(len(inputs[0]))
+        return judge(work, stages, names, *inputs)
+
+    monkeypatch.setattr(launching, "fields_of", one)
+    return ran
+
+
 @pytest.mark.parametrize("seen", ["hand", "body"])
 def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one(poses, seen, monkeypatch):
     trials = load_benchmark("r2h-v1").trials(N)[:N]
@@ -70,21 +85,36 @@ def test_small_calls_before_a_persons_arm_and_torso_have_the_bits_of_a_large_one
     receiver = trials.receiver.clone()
     receiver[::2, :4, 0] -= 0.3  # every other arm and torso stands in the robot's way
     trials = replace(trials, receiver=receiver)
-    evaluator, ran = copy.copy(default_evaluator()), []
+    evaluator, ran = copy.copy(default_evaluator()), counted(monkeypatch)
     evaluator.config = replace(evaluator.config, receiver=seen)
     whole = evaluator.score(*poses[:2], trials, stages="pose")
     assert (whole.body_m < 0).sum() > 20 and (whole.body_m == CLEARANCE_CAP_M).sum() > 20
-    judge = launching.fields_of
-
-    def counted(work: Any, stages: Any, *inputs: Any) -> Any:
-        ran.append(len(inputs[0]))
-        return judge(work, stages, *inputs)
-
-    monkeypatch.setattr(launching, "fields_of", counted)
+    ran.clear()
     for first, rows in [(0, 1), (1, 1), (4, 1), (7, 1), (0, 16), (32, 16), (8, 16), (0, SMALL_ROWS)] * 4:
         some = slice(first, first + rows)
         assert equal(evaluator.score(*(x[some] for x in (*poses[:2], trials)), stages="pose"), whole[some]), some
     assert ran.count(1) <= TRIES and ran.count(16) <= TRIES  # the other calls were recorded launches
+
+
+def test_small_calls_with_pick_are_recorded_and_have_the_bits_of_those_that_are_not(monkeypatch):
+    benchmark = load_benchmark("r2h-v3")
+    evaluator, trials = Evaluator(benchmark), benchmark.trials(12)
+    poses = random.predict(trials, evaluator.scene, seed=0)
+    T_obj_ee, T_world_ee = poses.T_obj_ee.clone(), poses.T_world_ee.clone()
+    T_obj_ee[3], T_world_ee[4] = torch.nan, 2.0  # no poses
+    hand = trials.T_world_hand.clone()
+    hand[5] = 0.0
+    asked = T_obj_ee, T_world_ee, replace(trials, T_world_hand=hand)
+    monkeypatch.setattr(launching, "SMALL_ROWS", 0)
+    with pytest.warns(UserWarning, match="not rigid poses"):
+        whole = evaluator.score(*asked, stages="pose")
+    assert len(whole.pick[:, 0].unique()) >= 4  # passes, out of reach, meets something, not asked
+    monkeypatch.undo()
+    ran = counted(monkeypatch)
+    for first, rows in each([(0, 1), (3, 1), (4, 1), (5, 1), (0, 8), (8, 1), (4, 8), (2, 8)] * 4):
+        some = slice(first, first + rows)
+        assert equal(evaluator.score(*(x[some] for x in asked), stages="pose"), whole[some]), some
+    assert 0 < ran.count(1) <= TRIES and 0 < ran.count(8) <= TRIES
 
 
 def test_what_a_caller_changes_in_a_result_reaches_no_later_call(poses, whole):
