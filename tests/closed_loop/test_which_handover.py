@@ -5,50 +5,67 @@ import numpy as np
 import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
+from rounds import each
 
 from r2h_batch.closed_loop.env import LoopConfig
 from r2h_batch.closed_loop.registered import ID, register
 
 register()
 MORE = {"method": "random", "trials": 6, "benchmark": "r2h-v1", "config": LoopConfig(horizon_s=2, rate_hz=10)}
+LONG = {"trials": 96, "benchmark": "r2h-v2"}
+"""More of it, for a thousand episodes."""
 
 
 def vector(num_envs, **more):
-    return gymnasium.make_vec(ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **MORE, **more)
+    return gymnasium.make_vec(ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **MORE | more)
 
 
 def ids(infos):
     return np.asarray(infos["trial_id"]).reshape(-1).tolist()
 
 
-def stands(envs, step):
+def stands(envs, step, seen):
     return np.zeros(envs.action_space.shape, np.float32)
 
 
-def rushes(envs, step):
+def waves(envs, step, seen):
+    """Up and down by clock and posture alone."""
+    return envs.single_action_space.high * np.sin(4 * seen["time"][:, None] + seen["q"])
+
+
+def rushes(envs, step, seen):
     """Odd rows go as fast as they can, there and back."""
-    action = stands(envs, step)
+    action = stands(envs, step, seen)
     action[1::2] = envs.single_action_space.high * (1 if step % 14 < 7 else -1)
     return action
 
 
 def episodes(envs, policy, count, **reset):
     """Trials of the rows' episodes, and how each ended: two lists for each row."""
-    infos = envs.reset(**reset)[1]
-    n = envs.num_envs
+    seen, infos = envs.reset(**reset)
+    n, most = envs.num_envs, 25 * count
     played, ends, begun = [[i] for i in ids(infos)], [[] for _ in range(n)], np.zeros(n, bool)
-    for step in range(2000):
-        seen, _, _, _, infos = envs.step(policy(envs, step))
-        for row in range(n):
-            if begun[row]:
-                played[row].append(ids(infos)[row])
-            if infos["_end"][row]:
-                outcome = infos["end"][row], infos["why"][row], float(infos["least_m"][row])
-                ends[row].append((*outcome, seen["T_world_hand"][row].tobytes()))
-        begun = np.asarray(infos["_end"])
+    for step in range(most):
+        seen, _, ended, late, infos = envs.step(policy(envs, step, seen))
+        trials, over = ids(infos), ended | late
+        for row in np.flatnonzero(begun):
+            played[row].append(trials[row])
+        for row in np.flatnonzero(over):
+            outcome = infos["end"][row], infos["why"][row], float(infos["least_m"][row])
+            ends[row].append((*outcome, seen["T_world_hand"][row].tobytes()))
+        begun = over
         if min(map(len, ends)) >= count:
             return [p[:count] for p in played], [e[:count] for e in ends]
-    raise AssertionError(f"not {count} episodes in 2,000 steps")
+    raise AssertionError(f"not {count} episodes in {most} steps")
+
+
+def by_round(played, ends, n, turn):
+    """Ends by row, trial and round: `turn` of row and episode is the place in the row's order, which goes round `n` trials."""
+    return {
+        (row, trial, turn(row, k) // n): end
+        for row, (trials, own) in enumerate(zip(played, ends, strict=True))
+        for k, (trial, end) in enumerate(zip(trials, own, strict=True))
+    }
 
 
 @pytest.fixture(scope="module")
@@ -96,6 +113,43 @@ def test_a_trial_ends_the_same_in_any_row_and_number_of_rows(pool):
     for key in shared:
         assert outcomes[0][key] == outcomes[1][key] == outcomes[2][key]
     assert any(outcomes[0][t, 1] != outcomes[0][t, 2] for t, m in shared if m == 2)  # drawn anew
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+@pytest.mark.parametrize(("slots", "count", "more"), [(3, 14, {}), pytest.param(8, 125, LONG, marks=pytest.mark.slow)])
+def test_a_trial_ends_the_same_in_gymnasiums_own_vectors(mode, slots, count, more):
+    """A row of our vector plays every `slots`-th place of the order that the copy with its seed plays in full."""
+    ours, seeds = vector(slots, **more), list(range(4, 4 + slots))
+    n = len(ours.unwrapped.pool)
+    ours = by_round(*episodes(ours, waves, count, seed=seeds), n, lambda row, k: row + k * slots)
+    envs = gymnasium.make_vec(ID, num_envs=slots, vectorization_mode=mode, **MORE | more)
+    copies = by_round(*episodes(envs, waves, count, seed=seeds), n, lambda row, k: k)
+    envs.close()
+    shared = copies.keys() & ours.keys()
+    assert len(shared) >= count and len({trial for _, trial, _ in shared}) >= slots
+    for key in each(shared):
+        assert copies[key] == ours[key], key
+
+
+@pytest.mark.slow
+def test_of_a_thousand_episodes_policies_play_the_same_and_a_trial_ends_the_same_in_any_number_of_slots():
+    found = []
+    for slots in each((1, 8, 64)):
+        envs, count = vector(slots, **LONG), -(-1000 // slots)
+        n = len(envs.unwrapped.pool)
+        quiet, _ = episodes(envs, stands, count, seed=3)
+        played, ends = episodes(envs, waves, count, seed=3)
+        assert quiet == played, slots
+        of = {}
+        for row in range(slots):
+            for k in range(count):
+                of[played[row][k], (row + k * slots) // n] = ends[row][k]
+        assert len(of) == slots * count >= 1000
+        found.append(of)
+    shared = found[0].keys() & found[1].keys() & found[2].keys()
+    assert len(shared) == 1000
+    for key in each(shared):
+        assert found[0][key] == found[1][key] == found[2][key], key
 
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
