@@ -1,7 +1,6 @@
 """The paper's eight findings against this benchmark's tables: docs/results/table1.md.
 
-A finding is a list of conditions on Table I. It appears if all of them hold, in part if some do. A person wrote the causes on the
-page; all figures come from the tables.
+A finding is a list of conditions on Table I. It appears if all of them hold, in part if some do.
 """
 
 import csv

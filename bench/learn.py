@@ -575,25 +575,22 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
-    from r2h_batch.methods.learned import TOP
     from r2h_batch.scene.objects import S0_NAMES
 
     left_out = {c: v["categories"][c] for v in data["folds"].values() for c in v["left_out"]}
     functional = [v for c, v in left_out.items() if c not in S0_NAMES]
     return {
         "table": rates_table(data),
-        **{"second": NEAR, "top": TOP},
         "categories_left_out": len(functional),
         "left_out": float(np.mean(functional)),
         "label_rates": ", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
-        "mib": ", ".join(map(str, data["memory"]["mib"])),
     }
 
 
 def rates_table(data: Mapping[str, Any]) -> str:
     """SR and first failures of all weights."""
     lines = [[f"seed {k}", *cells(v)] for k, v in data["seeds"].items()]
-    lines += [[name, *cells(data[name])] for name in ("second round", "blind")]
+    lines.append(["blind", *cells(data["blind"])])
     lines += [[f"left out: {', '.join(v['left_out'])}", *cells(v)] for v in data["folds"].values()]
     lines += [[f"own meshes{words}", *cells(data[f"scans{of}"])] for of, words in OWN_MESHES.items()]
     return markdown_table(["", "S0", "S1"], lines)
@@ -602,7 +599,6 @@ def rates_table(data: Mapping[str, Any]) -> str:
 OWN_MESHES = {
     ", Intent": ", Intent-Handover",
     "": "",
-    ", second round": ", second round",
     ", random": ", random method",
 }
 

@@ -33,7 +33,6 @@ from typing import Any
 import families
 import figures
 import pictures
-import ranks
 import sensitivity
 from _report import ROOT, swept
 from _rows import keep
@@ -156,6 +155,11 @@ def unsolved(run) -> dict[str, list[int]]:
     return {"oracle_unsolved": oracle, "solved_by_nobody": [t for t, who in sorted(solved.items()) if not who]}
 
 
+def bench_json(name: str) -> Any:
+    """The JSON of a bench."""
+    return json.loads((ROOT / "bench" / "results" / f"{name}.json").read_text())
+
+
 def table_1() -> dict[str, Any]:
     """README's Table I: rates and pairs of the shipped rows, turn tests of the benches."""
     from r2h_batch.report.compare.stored import load_rows
@@ -165,7 +169,7 @@ def table_1() -> dict[str, Any]:
     table = families.table_of_run(run)
     bounds = [r for r in table["rows"] if r["method"] in families.BOUNDS]
     table["rows"] = [r for r in table["rows"] if r not in bounds] + bounds
-    turned = ranks.read("families")["turned"]["r2h-v2"]
+    turned = bench_json("families")["turned"]["r2h-v2"]
     return {
         "table": table,
         "compared": families.compared(run, (*families.METHODS, *LEARNED)),
@@ -176,7 +180,7 @@ def table_1() -> dict[str, Any]:
 
 def unseen_row() -> list[str]:
     """Cells of Table I for Contact-Handover on categories that its predictor never saw (bench/networks.py)."""
-    found = ranks.read("networks")["values"]
+    found = bench_json("networks")["values"]
 
     def cell(split: str) -> str:
         sr, low, high = (found[f"networks.other_categories.{split}.{k}"] for k in ("sr", *CATEGORIES))
@@ -189,34 +193,10 @@ CATEGORIES = ("sr_new_categories_low", "sr_new_categories_high")
 """Ends of the interval for the mean of all categories."""
 
 
-def truth_about_v1() -> dict[str, object]:
-    """What Contact-Handover's rate on r2h-v1 depends on: the frames of its meshes."""
-    from r2h_batch.report.turn import WORDS
-
-    tests = {
-        t["method"].partition(" (")[0]: t for t in ranks.read("families")["turned"]["r2h-v1"] if t["group"] == "S1"
-    }
-    contact, intent = tests["Contact-Handover"], tests["Intent-Handover"]
-    worst = min(contact["moves"], key=lambda m: m["points"])
-    other = next(m for m in intent["moves"] if m["turn"] == worst["turn"])
-    return {
-        "turn": WORDS[worst["turn"]],
-        **{"contact": contact["rate"], "contact_turned": contact["rate"] + worst["points"]},
-        **{"low": worst["low"], "high": worst["high"]},
-        **{"intent": intent["rate"], "intent_turned": intent["rate"] + other["points"]},
-    }
-
-
 def shown(_: object) -> dict[str, object]:
     """What README and the page of Table I show."""
     own = table_1()
-    made = json.loads((ROOT / RESULTS / f"{TABLES[0].name}.json").read_text())["provenance"]
-    return {
-        "one": families.table_one(own),
-        "n": own["table"]["rows"][0]["n"],
-        **{k: made[k] for k in ("rows", "commit")},
-        **truth_about_v1(),
-    }
+    return {"one": families.table_one(own), "n": own["table"]["rows"][0]["n"]}
 
 
 def table_files(published: Published, rows: Path) -> dict[str, str]:
@@ -299,9 +279,7 @@ def main() -> None:
     if clean_commit() != commit or {load_run(run).header["git_commit"] for run in runs} != {commit}:
         sys.exit("tables: files changed while the sweeps ran; run the command again")
     install(place, commit)
-    print(
-        f"{time.perf_counter() - begin:.0f} s; look at the difference, check the causes in docs/results/table1.md, and commit"
-    )
+    print(f"{time.perf_counter() - begin:.0f} s; look at the difference, and commit")
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ MOVED = {
     "results/table1-v1": "results/table1.html#other-benchmarks-and-presets",
     "results/sensitivity": "results/table1.html#sensitivity",
     "results/findings": "results/table1.html#compare-with-the-paper",
-    "results/ranks": "results/questions.html#which-methods-change-places",
+    "results/ranks": "results/questions.html",
     "results/moving": "results/questions.html#hands-that-move",
     "results/robustness": "results/questions.html#errors-of-execution",
     "results/object_errors": "results/questions.html#errors-of-the-objects-pose",
