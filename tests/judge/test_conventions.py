@@ -269,9 +269,10 @@ def test_one_gripper_that_is_not_in_the_hand_is_enough(fresh, solved):
 def test_a_benchmark_with_more_criteria_has_hints_too():
     evaluator = Evaluator(load_benchmark("r2h-v3").until("present"), EvalConfig(execute=ExecConfig(sim="none")))
     trials = evaluator.benchmark.trials(6)
-    answer = oracle.predict(trials, evaluator.scene, seed=0, evaluator=evaluator)
+    known = load_benchmark("r2h-v3").certificates(trials.trial_id.numpy())
+    grasp, pose = (torch.from_numpy(np.array(x)) for x in (known.T_obj_ee, known.T_world_ee))
     with pytest.warns(UserWarning, match=r"all 12 rows fail .*; 1[012] of 12 pass with T_world_ee inverted"):
-        evaluator.score(answer.T_obj_ee, inverted(answer.T_world_ee), trials)
+        evaluator.score(grasp, inverted(pose), trials)
 
 
 def test_a_grasp_given_where_the_object_rests_is_told_on_a_benchmark_that_begins_at_the_table():

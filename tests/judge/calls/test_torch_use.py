@@ -2,6 +2,7 @@
 
 from dataclasses import fields, replace
 
+import numpy as np
 import pytest
 import torch
 from problems import assert_same, default_evaluator, make_batch
@@ -13,7 +14,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.calls import torch_op
 from r2h_batch.judge.calls.capture import check_capture
 from r2h_batch.methods import oracle, random
-from r2h_batch.types import Outcome, Scores, Trials
+from r2h_batch.types import Outcome, Predictions, Scores, Trials
 
 B = 24
 
@@ -107,7 +108,13 @@ def before_people(request):
     """Poses on benchmarks whose receivers have arm and torso; r2h-v3 also asks for Pick and Received."""
     benchmark = load_benchmark(request.param)
     evaluator, trials = Evaluator(benchmark), benchmark.trials(B)[:B]
-    poses = oracle.predict(trials, evaluator.scene)
+    known = benchmark.certificates(trials.trial_id.numpy())
+    if known.known.all():  # nothing is searched that a file has
+        poses = Predictions(
+            trials.trial_id, *(torch.from_numpy(np.array(x)) for x in (known.T_obj_ee, known.T_world_ee))
+        )
+    else:
+        poses = oracle.predict(trials, evaluator.scene)
     some = torch.arange(B) % 3 == 0
     other = random.predict(trials, evaluator.scene, seed=0)
     T_obj_ee, T_world_ee = (
