@@ -17,6 +17,7 @@ import shlex
 import shutil
 import signal
 import sys
+import time
 import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
@@ -41,8 +42,8 @@ FEW = {
     "view": "--port 0",
 }
 """Flags that make a command small."""
-SERVED_S = 8.0
-"""A command that serves until Ctrl-C is interrupted after so long."""
+SERVED_S, LATEST_S = 4.0, 120.0
+"""A command that serves until Ctrl-C is interrupted so long after it has said its address, at the latest after `LATEST_S`."""
 COMMENT = re.compile(r"<!-- (not run|slow)(?: `([^`]+)`)?: (.+?) -->", re.DOTALL)
 
 
@@ -218,7 +219,8 @@ class Reader:
         from r2h_batch.__main__ import main
 
         out, error = io.StringIO(), io.StringIO()
-        with redirect_stdout(out), redirect_stderr(error), interrupted(self.serves(words)):
+        served = (lambda: "http://" in out.getvalue() + error.getvalue()) if self.serves(words) else None
+        with redirect_stdout(out), redirect_stderr(error), interrupted(served):
             code = main(self.small(words))
         if code:
             raise RuntimeError(f"exit code {code}: {error.getvalue()[-1500:]}")
@@ -246,15 +248,23 @@ class Reader:
 
 
 class interrupted:
-    """Ctrl-C after `SERVED_S` seconds, if `at_all`."""
+    """Ctrl-C once `served` has been true for `SERVED_S` seconds; never without it."""
 
-    def __init__(self, at_all: bool) -> None:
-        self.at_all = at_all
+    def __init__(self, served: Callable[[], bool] | None) -> None:
+        self.served = served
+        self.ends_s = time.monotonic() + LATEST_S
 
     def __enter__(self) -> None:
-        if self.at_all:
-            signal.signal(signal.SIGALRM, signal.default_int_handler)
-            signal.setitimer(signal.ITIMER_REAL, SERVED_S)
+        if self.served:
+            signal.signal(signal.SIGALRM, self.look)
+            signal.setitimer(signal.ITIMER_REAL, SERVED_S, SERVED_S)
+
+    def look(self, *of_the_signal: Any) -> None:
+        """Ctrl-C, the second time that it serves."""
+        if time.monotonic() > self.ends_s:
+            signal.default_int_handler(*of_the_signal)
+        if self.served and self.served():
+            self.ends_s = 0.0
 
     def __exit__(self, *_: object) -> None:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
