@@ -139,11 +139,12 @@ def test_why_names_what_it_failed_by(run, method, capsys):
     assert "taken fails: r2h_batch 0.3 judged by it, this version does not" in capsys.readouterr().out
 
 
-def test_they_are_judged_again_in_the_same_trials_by_the_criteria_that_there_are(run, method):
+@pytest.mark.parametrize("rows", [4, pytest.param(16, marks=pytest.mark.slow)])
+def test_they_are_judged_again_in_the_same_trials_by_the_criteria_that_there_are(run, method, rows):
     benchmark = benchmark_of_run(run.header, "x")
     assert benchmark.asks == run.asks and benchmark.digest != run.header["digests"]["benchmark"]
-    found = reevaluate(run, method, 16, Judge(run))
-    assert found.scored == 16
+    found = reevaluate(run, method, rows, Judge(run))
+    assert found.scored == rows
     # where the object is held differs by millimetres from where a simulated closing had put it
     others = {d.column for d in found.differences}
     assert others <= {"outcome", "passed_received", "margin_received_m", "received_reason", "received_grasps"}

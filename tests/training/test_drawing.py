@@ -184,8 +184,12 @@ ENDS = {
 }
 
 
+RARE = ("the end of the program, spawned", "an error", "a kill, spawned", "a kill, of a server's forks")
+"""Ways of which `make test` has another one: the same end, of processes that were started otherwise."""
+
+
 @pytest.mark.alone
-@pytest.mark.parametrize("how", ENDS)
+@pytest.mark.parametrize("how", [pytest.param(how, marks=pytest.mark.slow) if how in RARE else how for how in ENDS])
 def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
     first, then = ENDS[how]
     program = tmp_path / "program.py"

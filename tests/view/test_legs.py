@@ -43,14 +43,19 @@ def passing(reader):
     return next(r["trial_id"] for r in rows(reader, "fc") if r["passed_pick"] and r["passed_plan"])
 
 
+@pytest.fixture(scope="module")
+def carried(reader):
+    """A trial of FC that is picked and has a path, with its legs. It is not changed."""
+    return reader.trial(passing(reader), "fc")
+
+
 def object_at(drawing, q):
     body = drawing.at(q).body("object")
     return np.append(body.xpos, body.xmat).copy()
 
 
-def test_legs_lead_from_home_to_the_motion_and_take_the_object_along(reader):
-    stored = reader.trial(passing(reader), "fc")
-    drawing = Drawing(stored)
+def test_legs_lead_from_home_to_the_motion_and_take_the_object_along(carried):
+    stored, drawing = carried, Drawing(carried)
     picks, lifts = drawing.legs
     assert np.allclose(picks.stored.q[0], stored.workplace.home_q) and picks.stored.goes_on
     turn = np.round((picks.stored.q[-1] - lifts.stored.q[0]) / (2 * np.pi)) * 2 * np.pi
@@ -83,8 +88,8 @@ class FakeScene:
         return add
 
 
-def test_a_page_plays_the_legs_first_with_an_open_gripper_and_the_object_where_it_is(reader):
-    drawing = Drawing(reader.trial(passing(reader), "fc"))
+def test_a_page_plays_the_legs_first_with_an_open_gripper_and_the_object_where_it_is(carried):
+    drawing = Drawing(carried)
     scene = FakeScene()
     drawn = Drawn(scene, drawing, view_of([drawing], 1.2))
     picks, lifts = drawing.legs
@@ -108,15 +113,14 @@ def test_a_page_plays_the_legs_first_with_an_open_gripper_and_the_object_where_i
         assert scene.handles["/trial/gripper"].visible == (not opened)
 
 
-def test_the_resting_object_lies_at_the_trials_moment_and_the_gripper_comes_open(reader):
-    number = passing(reader)
-    leg = reader.trial(number, "fc").before[0]
+def test_the_resting_object_lies_at_the_trials_moment_and_the_gripper_comes_open(reader, carried):
+    number, leg = passing(reader), carried.before[0]
     trial = load_benchmark("r2h-v3").trials_with_ids(torch.tensor([number]))
     T = moments(reader.evaluator.scene, trial)[0].double().numpy()
     assert np.array_equal(leg.resting, T) and leg.row["opening_m"] == leg.robot.open_gap_m
     drawing = Drawing(leg)
     pads = [drawing.at(leg.q[-1]).geom(f"gripper/{side}_pad").xpos.copy() for side in ("left", "right")]
-    held = Drawing(reader.trial(number, "fc"))
+    held = Drawing(carried)
     closed = [held.at(leg.q[-1]).geom(f"gripper/{side}_pad").xpos.copy() for side in ("left", "right")]
     assert np.linalg.norm(pads[0] - pads[1]) > np.linalg.norm(closed[0] - closed[1]) + 1e-3
 
@@ -159,8 +163,8 @@ def test_where_a_pick_fails_the_posture_and_the_pair_of_its_margin_are_drawn(rea
     assert seen >= {"grasp_collides", "out_of_reach"} and len(seen) >= len(WANTED)
 
 
-def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(reader, monkeypatch):
-    drawing = Drawing(reader.trial(passing(reader), "fc"))
+def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(carried, monkeypatch):
+    drawing = Drawing(carried)
     words, postures = [], []
 
     class Told:
@@ -185,8 +189,8 @@ def test_a_film_shows_the_legs_then_the_motion_with_the_time_going_on(reader, mo
     assert drawing.bounds().shape[0] > drawing.legs[0].bounds().shape[0]
 
 
-def test_a_laboratory_gets_the_paths_to_the_object_and_up_before_the_carry(reader, tmp_path):
-    stored = reader.trial(passing(reader), "fc")
+def test_a_laboratory_gets_the_paths_to_the_object_and_up_before_the_carry(carried, tmp_path):
+    stored = carried
     write_trial(stored, tmp_path, step_s=0.05, tcp_speed=0.25)
     ways = {}
     for name in each(("pick", "lift", "there", "back")):
@@ -214,8 +218,8 @@ def test_a_laboratory_gets_the_paths_to_the_object_and_up_before_the_carry(reade
     assert heavy - light == pytest.approx(stored.object_model.mass, abs=1e-3)
 
 
-def test_strips_begin_with_the_grasp_on_the_table_and_the_lift(reader):
-    drawing = Drawing(reader.trial(passing(reader), "fc"))
+def test_strips_begin_with_the_grasp_on_the_table_and_the_lift(carried):
+    drawing = Drawing(carried)
     for n in each((3, 5)):
         found = pictures.images(drawing, (64, 48), n)
         assert len(found) == n
