@@ -21,7 +21,7 @@ from r2h_batch.view.stored import Reader
 from r2h_batch.view.why import explanation
 
 ROWS = Path(__file__).resolve().parents[2] / "bench" / "rows" / "v1-release-preset"
-MOST = 24
+MOST = 8
 """Failed plans of each method that are looked at."""
 SAME_M = 2e-4
 """MuJoCo's depth of an overlap may be this much below the evaluator's bound: convex pieces against meshes."""
