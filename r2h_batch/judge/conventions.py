@@ -89,6 +89,10 @@ def other_poses(
         f"T_obj_ee {FLANGE}": (from_flange[0], T_world_ee),
         f"both poses {FLANGE}": from_flange,
         "T_obj_ee and T_world_ee exchanged": (T_world_ee, T_obj_ee),
+        "T_world_ee mirrored in y: the world is right-handed, z up, x towards the receiver": (
+            T_obj_ee,
+            _mirrored(T_world_ee),
+        ),
         f"the rotations of both poses transposed: {COLUMNS}": (
             _transposed(T_obj_ee),
             _transposed(T_world_ee),
@@ -126,6 +130,12 @@ def other_poses(
 def _transposed(T: Tensor) -> Tensor:
     """The poses with transposed rotations, where they are."""
     return se3.from_rotation(T[:, :3, :3].transpose(1, 2), T[:, :3, 3])
+
+
+def _mirrored(T: Tensor) -> Tensor:
+    """The poses of a world whose y points the other way."""
+    sign = torch.tensor([1.0, -1.0, 1.0], dtype=T.dtype, device=T.device)
+    return se3.from_rotation(T[:, :3, :3] * sign[:, None] * sign, T[:, :3, 3] * sign)
 
 
 def other_rows(trial_id: Tensor) -> dict[str, Tensor]:

@@ -20,6 +20,7 @@ from r2h_batch.methods.predictors import predict_target
 from r2h_batch.observe import moments
 from r2h_batch.trials.load import load_benchmark
 
+MIRROR = torch.diag(torch.tensor([1.0, -1.0, 1.0, 1.0]))
 HALF = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
 
 
@@ -77,6 +78,7 @@ WRITTEN = {
     "T_world_ee inverted": lambda a, b, hand: (a, inverted(b)),
     "both poses inverted": lambda a, b, hand: (inverted(a), inverted(b)),
     "T_obj_ee and T_world_ee exchanged": lambda a, b, hand: (b, a),
+    "T_world_ee mirrored in y": lambda a, b, hand: (a, MIRROR @ b @ MIRROR),
     "T_world_ee times T_obj_ee": lambda a, b, hand: (a, b @ inverted(a)),
     "turned by 180 degrees": lambda a, b, hand: (a, HALF @ b),
     "turned by 90 degrees": lambda a, b, hand: (a, turn("z", -90) @ b),
