@@ -84,7 +84,7 @@ def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspS
     n, defaults = len(np.atleast_1d(found.get("T_obj_ee", ()))), {"width": 0.0, "score": 1.0}
     filled = {k: np.full(n, v) for k, v in {**defaults, "part": ANY_PART}.items()}
     columns = {**filled, **found}
-    check_arrays(columns, SPECS, where, only=True)
+    check_arrays(columns, SPECS, where, optional=tuple(filled), only=True)
     T, width, part = columns["T_obj_ee"], columns["width"], columns["part"]
     if not 1 <= n <= MAX_GRASPS:
         raise FileError(f"{where}: {n} grasps; 1 to {MAX_GRASPS} are allowed")

@@ -56,7 +56,7 @@ def test_hdf5_that_names_other_files_or_lies_about_its_size_is_refused(tmp_path,
 
 POSES = poses(2)
 OWN = {
-    "has no T_obj_ee": {"width": np.ones(3)},
+    "has no T_obj_ee; needed are T_obj_ee(?!,)": {"width": np.ones(3)},
     "more than 10 m away": {"T_obj_ee": POSES + np.eye(4, k=3) * 500},
     "score holds a number that is not finite in row 0": {"T_obj_ee": POSES, "score": np.full(2, np.nan)},
     "width of grasp 1 is -1; 0 to 10 m": {"T_obj_ee": POSES, "width": np.array([0.1, -1.0])},

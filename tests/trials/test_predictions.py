@@ -33,7 +33,7 @@ def test_written_predictions_are_read_back_equal(tmp_path, timed):
 @pytest.mark.parametrize(
     ("changes", "parts"),
     [
-        ({"T_world_ee": None}, ["has no T_world_ee"]),
+        ({"T_world_ee": None}, ["has no T_world_ee; needed are trial_id, T_obj_ee, T_world_ee;"]),
         ({"T_obj_eee": np.zeros(3)}, ["unknown", "T_obj_eee", "allowed are trial_id"]),
         ({"T_obj_ee": np.zeros((5, 3, 4), np.float32)}, ["T_obj_ee is (5, 3, 4)", "need 5 x 4 x 4"]),
         ({"T_obj_ee": np.zeros((5, 4, 4), int)}, ["T_obj_ee", "int64", "float32 or float64"]),

@@ -46,7 +46,6 @@ def check_arrays(
     Raises:
         FileError: one line that names the array.
     """
-    allowed = ", ".join(specs)
     if only and (unknown := sorted(set(arrays) - set(specs))):
         shown = repr(printable(unknown[0])[:60])
         raise FileError(
@@ -57,7 +56,8 @@ def check_arrays(
         if name in arrays:
             check_array(f"{where}: {name}", arrays[name], spec, lengths, gaps=name in gaps)
         elif name not in optional:
-            raise FileError(f"{where}: has no {name}; needed are {allowed}")
+            needed = ", ".join(n for n in specs if n not in optional)
+            raise FileError(f"{where}: has no {name}; needed are {needed}")
     return lengths
 
 
