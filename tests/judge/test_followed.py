@@ -95,7 +95,8 @@ def test_a_belief_that_is_true_is_followed_to_the_same_verdict():
     assert ((made.margin_m - planned.margin_m).abs() < 2e-4)[planned.picked].float().mean() > 0.8
 
 
-def test_what_a_wrong_belief_meets_is_what_samples_meet():
+@pytest.mark.parametrize("most", [2, pytest.param(4, marks=pytest.mark.slow)])
+def test_what_a_wrong_belief_meets_is_what_samples_meet(most):
     seen = Counter()
     trials = asked()[0]
     for step in ((0.0, 0.012), (0.02, 0.0), (-0.04, -0.02)):
@@ -103,7 +104,7 @@ def test_what_a_wrong_belief_meets_is_what_samples_meet():
         for i in torch.nonzero(planned.picked).flatten().tolist():
             reason = PickReason(int(made.reason[i]))
             seen[reason] += 1
-            if seen[reason] > 4:
+            if seen[reason] > most:
                 continue
             twin = PickTwin(evaluator().scene, trials[i : i + 1], grasps[i], rest[i], row_of(made, i))
             assert twin.wrong() == "", (step, i, reason.name)
