@@ -1,11 +1,13 @@
 """Several runs as one (`runs.store.join`)."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from made_runs import write_run
 
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.store import join, load_run
+from r2h_batch.runs.store import join, load_run, robot_words
 
 
 @pytest.fixture
@@ -31,3 +33,12 @@ def test_two_folders_of_one_name_with_a_method_of_one_name_are_refused(runs, tmp
     other = write_run(tmp_path / "there" / "second", {"two": np.zeros(8, int)}, 4, 4)
     with pytest.raises(RunError, match="two run folders of one name hold 'second/two'; rename one of them"):
         join([runs[1], load_run(other.folder)])
+
+
+def test_methods_of_several_robots_have_the_robots_short_name_in_front_or_the_whole_one_where_two_are_alike():
+    def words(*robots):
+        return robot_words([SimpleNamespace(robot=name) for name in robots])
+
+    assert words("ur5e_2f85", "ur5e_2f85") == {"ur5e_2f85": ""}
+    assert words("ur5e_2f85", "panda_hand", "ur5e_2f85") == {"ur5e_2f85": "ur5e/", "panda_hand": "panda/"}
+    assert words("ur5e_2f85", "ur5e_jaws") == {"ur5e_2f85": "ur5e_2f85/", "ur5e_jaws": "ur5e_jaws/"}
