@@ -20,8 +20,8 @@ test: lint  ## linters, types, and the tests of every day, in some ten minutes; 
 	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole"
 
 test-all: lint  ## every test that needs no GPU: before a release
-	$(TOGETHER) -m "not gpu and not alone"
-	$(BIN)/python -m pytest -q -m "alone and not gpu"
+	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone"
+	$(BIN)/python -m pytest -q -o faulthandler_timeout=0 -m "alone and not gpu"
 
 test-touched: $(VENV)/.installed-test  ## of test-all beyond test, the parts whose sources a change touches (tests/touched.tsv)
 	parts=$$($(BIN)/python tools/touched.py) && if [ -n "$$parts" ]; then $(TOGETHER) -m "$$parts"; fi
