@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import pickle
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
@@ -480,13 +481,23 @@ class Benchmark:
             return object.__getattribute__(self, name)  # says that there is none
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Stored objects and the built-in hands travel by name."""
+        """Stored objects and the built-in hands travel by name, all else as bytes: torch sends a tensor to a loader's spawned
+        worker by moving its memory, and then what was made of it here (views in numpy, tables of kernels) would read memory that
+        is freed."""
         stored = {id(o): o.name for o in self.objects if o is _stored(o.name)}
         values = {f.name: getattr(self, f.name) for f in fields(self)}
         values["objects"] = tuple(stored.get(id(o), o) for o in self.objects)
         if self.hand_set is _hands_of(self.people):
             values["hand_set"] = None
-        return _unpickled, (type(self), values)
+        return _unpickled, (pickle.dumps((type(self), values)),)
+
+    def __copy__(self) -> Self:
+        """Itself: a benchmark does not change."""
+        return self
+
+    def __deepcopy__(self, memo: Any) -> Self:
+        """Itself: a benchmark does not change."""
+        return self
 
 
 def _stored(name: str) -> ObjectModel | None:
@@ -501,10 +512,12 @@ def _hands_of(people: People | None) -> HandSet:
     return load_hand_set() if people is None else people_hand_set(people)
 
 
-def _unpickled(cls: type[Benchmark], values: dict[str, Any]) -> Benchmark:
+def _unpickled(state: bytes) -> Benchmark:
+    cls, values = pickle.loads(state)
     objects = (load_objects([o])[0] if isinstance(o, str) else o for o in values["objects"])
     hand_set = values["hand_set"] or _hands_of(values["people"])
-    return cls(**{**values, "objects": tuple(objects), "hand_set": hand_set})
+    found: Benchmark = cls(**{**values, "objects": tuple(objects), "hand_set": hand_set})
+    return found
 
 
 def trials_digest(trials: Trials) -> str:

@@ -1,9 +1,11 @@
 """Trials, files of answers and evaluators of different benchmarks are not mixed: a line says what to take."""
 
+import copy
 import pickle
 import re
 import sys
 from dataclasses import replace
+from multiprocessing.reduction import ForkingPickler
 
 import numpy as np
 import pytest
@@ -102,6 +104,17 @@ def test_a_file_of_answers_to_another_benchmark_is_refused_and_one_that_says_not
         load_answers(file)
 
 
+def test_memory_of_a_benchmark_stays_where_it_is_when_it_goes_to_a_worker():
+    """What was drawn from it reads that memory; torch moves that of a tensor that it sends to a spawned process."""
+    benchmark = load_benchmark("r2h-v2")
+    own = replace(benchmark, hand_set=replace(benchmark.hand_set))
+    before = trials_digest(own.trials(3))
+    again = pickle.loads(bytes(ForkingPickler.dumps(own)))
+    assert not any(t.is_shared() for t in (own.hand_set.side, own.hand_set.shape, own.hand_set.model.vertices))
+    assert trials_digest(own.trials(3)) == before == trials_digest(again.trials(3))
+    assert copy.copy(own) is own and copy.deepcopy([own])[0] is own
+
+
 def test_a_benchmark_is_a_value_that_is_edited_and_carried(tmp_path):
     v1 = load_benchmark("r2h-v1")
     assert load_benchmark("r2h-v1") is v1
@@ -142,7 +155,7 @@ def test_a_benchmark_comes_by_name_file_or_function_and_a_typo_is_told(tmp_path,
     mine = load_benchmark("own_benchmark:mine")
     assert isinstance(mine, Benchmark) and mine.receiver == "body" and mine.name == "mine"
     for given, line in {
-        "r2h-v3": "no benchmark is called 'r2h-v3', did you mean r2h-v",
+        "r2h-v4": "no benchmark is called 'r2h-v4', did you mean r2h-v",
         "own_benchmark:number": "returned int; it must return a Benchmark",
         "own_benchmark:none": "has no function 'none'",
         "nothing.yaml": "nothing.yaml",
