@@ -1,6 +1,6 @@
 """A generator that learns from the verdict alone, on each of two benchmarks: does it succeed on the other one too?
 
-`python bench/generator.py --json bench/results/generator.json` trains a small network on each benchmark: it moves a random
+`python bench/generators.py --json bench/results/generators.json` trains a small network on each benchmark: it moves a random
 candidate of a trial and a first pose (turned anyhow, the object in the ball), each by a twist. Its loss is minus the log of
 `soft` of the pose stage. Then both networks answer trials that neither has seen, of both benchmarks, and all stages judge them.
 --pictures FOLDER draws successes of each network on the benchmark that it was trained on.
@@ -25,7 +25,7 @@ from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
 MEASURES = (
-    *("bench/generator.py", "kernels/judge", "kernels/plan", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/trials"),
+    *("bench/generators.py", "kernels/judge", "kernels/plan", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/trials"),
     *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py"),
 )
 BENCHMARKS = ("r2h-v2", "r2h-v3")
