@@ -100,7 +100,7 @@ def test_one_sided_hands_are_drawn_for_all_trials_and_the_run_is_as_planned(tmp_
     digest = edited(BenchmarkChoice("r2h-v1", hands=str(tmp_path / "hands.npz"))).digest
     assert main(["report", str(tmp_path / "run"), "--full"]) == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert f"benchmark: --benchmark r2h-v1 --hands hands.npz, digest {digest[:12]}" in printed
+    assert f"flags: --benchmark r2h-v1 --hands hands.npz, digest {digest[:12]}" in printed
     assert main(["results", "verify", str(tmp_path / "run")]) == 0
     run = load_run(tmp_path / "run")
     assert set(run.trials("random")["side"].to_pylist()) == {"right"}
