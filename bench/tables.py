@@ -103,6 +103,7 @@ PUBLISHED = (
         LEARNED,
     ),
 )
+"""Rows of r2h-v3 are those of bench/r2h_v3.py --rows."""
 TABLES = tuple(p for p in PUBLISHED if p.title)
 
 

@@ -45,7 +45,7 @@ def compare(
     Args:
         runs: run folders, as `r2h-batch sweep --out` writes them; one with several methods is
             enough. The word baselines stands for the built-in methods' stored rows of the run's
-            benchmark. Those of the default benchmark ship with the package.
+            benchmark. Those of the default benchmark and of r2h-v3 ship with the package.
         seed: seed of the bootstrap that gives the ranks.
         format: md, latex, csv or json.
         method: only these methods, by the sweep's word (fc) or the table's name; by default all.

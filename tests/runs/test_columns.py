@@ -61,7 +61,7 @@ def test_shipped_rows_hold_every_column_of_the_table_or_one_that_came_later() ->
                 names = schema_of_kind(kind).names
                 assert set(names) - set(shard.table(kind, names).schema.names) <= set(later(kind)), folder
         table = run.trials(run.methods[0])
-        assert table.schema.names == schema_of_kind("trials").names
+        assert table.schema.names == schema_of_kind("trials", asks=run.header.get("asks", ())).names
 
 
 def test_the_ends_of_episodes_are_those_of_the_closed_loop() -> None:

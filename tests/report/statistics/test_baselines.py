@@ -28,7 +28,11 @@ from r2h_batch.sweep.command import main as sweep
 def test_the_shipped_rows_are_whole_and_of_all_built_in_methods(folder):
     run = load_run(folder)
     assert run.header["trials"] == {"S0": 500, "S1": 500} and not run.unfinished
-    assert functions(run) == {named(m) for m in METHOD_NAMES if m not in ("learned", "robust")}
+    without = {"learned", "robust"}
+    # of r2h-v3 the robust search is the bound of methods that see, the oracle of those that are told
+    if run.header["protocol"] == "r2h-v3":
+        without = {"oracle"} if "sees" in run.header else {"robust"}
+    assert functions(run) == {named(m) for m in METHOD_NAMES if m not in without}
     assert baselines_for(run.header) == folder
     # trained for the default benchmark; its rows stand beside the others'. The robust search is a bound
     # for methods that see errors; these rows have none
@@ -103,6 +107,24 @@ def test_rows_of_the_runs_benchmark_preset_and_engine_are_its_baselines_whatever
         match=r"benchmark mine --preset paper; make them with `r2h-batch sweep --method random ",
     ):
         baselines_for({**unknown, "benchmark": {"flags": ["--benchmark mine.yaml"]}})
+
+
+def test_r2h_v3_has_baselines_in_both_tracks_and_they_are_never_paired(tmp_path, capsys):
+    folders = {name: SHIPPED / name for name in ("r2h-v3-as-planned", "r2h-v3-sees-cell-v1")}
+    truth, seen = (load_run(folder) for folder in folders.values())
+    assert load_baselines(load_benchmark("r2h-v3")).folder == truth.folder
+    assert {truth.header["protocol"], seen.header["protocol"]} == {"r2h-v3"} and seen.header["sees"]["rig"] == "cell-v1"
+    with pytest.raises(ValueError, match="differ in what their methods see"):
+        common_trials([truth, seen], proven=stored_rows())
+    line = ["--benchmark", "r2h-v3", "--method", "random", "--trials", "3", "--execute.sim", "none"]
+    assert sweep([*line, "--out", str(tmp_path / "mine")]) == 0
+    capsys.readouterr()
+    assert main(["compare", str(tmp_path / "mine"), "baselines", "--format", "json"]) == 0
+    (whole,) = (c for c in json.loads(capsys.readouterr().out) if c["group"] == "all")
+    assert len(whole["names"]) == 7 and whole["n"] == 6
+    # of a run that sees the same, the rows that see; of one that sees otherwise, a line that says so
+    other = {**seen.header, "digests": {**seen.header["digests"], "sees": "0" * 64}}
+    assert baselines_for(seen.header) == seen.folder and baselines_for(other) != seen.folder
 
 
 def test_stored_rows_of_another_preset_are_no_baselines_and_those_of_the_same_engine_come_first():
