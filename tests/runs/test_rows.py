@@ -53,7 +53,7 @@ def test_a_pair_is_of_the_path_or_of_what_prevents_one_and_no_grasp_is_a_number(
     asked = (
         {f.name: getattr(own, f.name) for f in fields(own)} | two | {"plan_pair": torch.tensor(pair, dtype=torch.int8)}
     )
-    receives = torch.tensor([[0, 3], [1, 0], [-1, -1], [0, 1]], dtype=torch.int32)
+    receives = torch.tensor([[0, 3, 0], [1, 0, -1], [-1, -1, -1], [0, 1, 2]], dtype=torch.int32)
     pick = torch.tensor([[0, int(CollidingPair.NONE), -1]] * 4, dtype=torch.int32)
     rows = score_rows(trials, GivenScores(**asked, pick=pick, receives=receives), NAMES).to_pylist()
     assert [r["nearest_pair"] for r in rows] == ["table", None, None, "hand"]
