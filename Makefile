@@ -13,14 +13,19 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 	$(BIN)/python -m r2h_batch.sweep --method random oracle --splits S0 S1 --trials 60 --out runs/demo
 
 # Two processes, each with one thread of torch and BLAS: more threads than cores only wait for each other.
-TOGETHER := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --durations=25
+# And two goes, because a process that runs all tests grows to 9 GB. Where a process is killed the run ends: xdist would wait for ever.
+FIRST_GO := $(addprefix tests/,judge kernels methods observe trials training)
+SECOND_GO := tests $(addprefix --ignore=,$(FIRST_GO))
+TOGETHER := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --max-worker-restart 0 --durations=25
 
 test: lint  ## linters, types, and the tests of every day, in some ten minutes; tells what was left out and how to get it
-	$(TOGETHER) -m "not slow and not gpu and not whole and not alone"
+	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(FIRST_GO)
+	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(SECOND_GO)
 	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole"
 
 test-all: lint  ## every test that needs no GPU: before a release
-	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone"
+	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone" $(FIRST_GO)
+	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone" $(SECOND_GO)
 	$(BIN)/python -m pytest -q -o faulthandler_timeout=0 -m "alone and not gpu"
 
 test-touched: $(VENV)/.installed-test  ## of test-all beyond test, the parts whose sources a change touches (tests/touched.tsv)
