@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
+import families
 import numpy as np
 import torch
 from _report import ROOT, Parts, Report, markdown_table, swept
@@ -309,7 +310,7 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
     from r2h_batch.report.statistics.aggregate import wilson_interval
     from r2h_batch.report.text import short_names
-    from r2h_batch.verdicts import IN_ORDER, NO_LONGER
+    from r2h_batch.verdicts import IN_ORDER
 
     methods = data["methods"]
     short = short_names(list(methods))
@@ -321,9 +322,7 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         ["with Pick and Presented, and the carry in place of the path from home", f"{ms['present']:.2f}"],
         ["and the reception of what got so far", f"{ms['received']:.1f}"],
     ]
-    every_outcome = {o for of in (methods, data["seen"]) for m in of.values() for o in m["outcomes"]}
-    order = [*(entry.name for entry in IN_ORDER), *(name for name in NO_LONGER if name in every_outcome)]
-
+    order = [entry.name for entry in IN_ORDER]
     oracle = methods["oracle"]
     splits, kinds = _kinds(max(len(m["won"]) for m in (*methods.values(), *data["seen"].values())))
 
@@ -335,22 +334,23 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         _, *wide = over_categories(won, splits[: len(won)], kinds[: len(won)], "S0+S1")
         return f"{100 * won.mean():.1f} ({ends[0]:.1f}-{ends[1]:.1f}) ({wide[0]:.1f}-{wide[1]:.1f})"
 
-    stages = [
-        [
-            short[k],
-            rate(m),
-            *(f"{100 * m['outcomes'].get(c, 0) / m['n']:.1f}" for c in order),
+    def table(track: str, of: Mapping[str, Any]) -> str:
+        """Methods by their rates, the bounds last: what each reads, its rate and intervals, first failures, and the others."""
+        names, reads = short_names(list(of)), _reads(track)
+        bounds = [k for k in of if k.lower().startswith(BOUNDS)]
+        ranked = sorted((k for k in of if k not in bounds), key=lambda k: -of[k]["won"].count("1"))
+        rows = [
+            [
+                *(names[k], reads[k], rate(of[k])),
+                *(f"{100 * of[k]['outcomes'].get(c, 0) / of[k]['n']:.1f}" for c in order),
+                families.beside(families.short(k), data["pairs"][track]),
+            ]
+            for k in (*ranked, *bounds)
         ]
-        for k, m in methods.items()
-    ]
+        return markdown_table(["", "Reads", "SR", *(name.capitalize() for name in order), "beside others"], rows)
+
     sighted = short_names(list(data["seen"]))
-    seen_outcomes = {k: m["outcomes"] for k, m in data["seen"].items()}
-    n = 2 * data["seen_trials"]
-    seen = [
-        [sighted[k], rate(data["seen"][k]), *(f"{100 * m.get(c, 0) / n:.1f}" for c in order)]
-        for k, m in seen_outcomes.items()
-    ]
-    failures = [*(m["outcomes"] for m in methods.values()), *seen_outcomes.values()]
+    failures = [m["outcomes"] for of in (methods, data["seen"]) for m in of.values()]
     cost += [
         ["the pose stage of the five criteria", f"{ms['pose_none']:.3f}"],
         ["with Pick and Presented", f"{ms['pose']:.3f}"],
@@ -377,13 +377,13 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "twice": int((known.redraws > 1).sum()),
         "never": int((~known.solved).sum()),
         "redraws": markdown_table(["", "trials", "drawn again", "percent"], redraws),
-        "stages": markdown_table(["", "SR", *(name.capitalize() for name in order)], stages),
+        "stages": table("truth", methods),
         **_bound_of(data, sighted, splits, kinds),
         "pose_ratio": ms["pose"] / ms["pose_none"],
         **{f"{track}_s": spent for track, spent in data["cpu_s"].items()},
         "idle": ", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
         "sees": SEES,
-        "sights": markdown_table(["", "SR", *(name.capitalize() for name in order)], seen),
+        "sights": table("seen", data["seen"]),
         **_believed(data, sighted, order),
         "n": oracle["n"],
         "unsolved": sum(oracle["lost"].values()),
@@ -404,6 +404,14 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "moment": ms["moment"],
         "ratio": (ms["present"] - ms["none"]) / ms["none"],
     }
+
+
+def _reads(track: str) -> dict[str, str]:
+    """What each method of a track may read, by the rows that the package ships."""
+    from r2h_batch.runs.store import load_run
+
+    run = load_run(ROOT / "r2h_batch/report/compare/rows" / SHIPPED[track], verify=False)
+    return {name: run.entry(name).reads for name in run.methods}
 
 
 def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> dict[str, Any]:

@@ -18,12 +18,14 @@ ROWS = {
     "robustness": "`bench/options/robustness`",
     "scanned": "`bench/options/scanned`",
     "scans": "`bench/options/scans`",
+    "r2h_v3": "`r2h_batch/report/compare/rows/r2h-v3-*`",
 }
 """JSON -> where its rows are; the others are made by the command alone."""
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
     "long": "bench/soak.py long",
+    "r2h_v3": "bench/r2h_v3.py --trials 500 --seen-trials 500 --checked 10 --rows",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",
     "release": "bench/release.py --release CHECKOUT",

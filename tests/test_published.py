@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
+from r2h_batch.report.compare.stored import SHIPPED
 from r2h_batch.runs import provenance
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.judge import Judge
@@ -51,6 +52,32 @@ def test_a_sample_of_each_tables_rows_is_judged_the_same_by_this_code(tables, na
 def test_a_sample_of_the_rows_that_came_later_is_judged_the_same_by_this_code(tables):
     (published,) = [p for p in tables.PUBLISHED if p.name == "r2h-v2-learned"]
     assert list(map(str, rejudged(ROOT / published.rows, 3))) == []
+
+
+V3 = {"methods": "r2h-v3-as-planned", "seen": "r2h-v3-sees-cell-v1"}
+"""Part of bench/results/r2h_v3.json -> the shipped rows that it counts."""
+
+
+@pytest.mark.parametrize("part", V3)
+def test_the_rates_of_r2h_v3_are_those_of_its_rows_and_both_are_of_one_commit(part):
+    measured = json.loads((ROOT / "bench" / "results" / "r2h_v3.json").read_text())
+    run = load_run(SHIPPED / V3[part])
+    assert measured["commit"] == run.header["git_commit"] and list(measured[part]) == list(run.methods)
+    for method in run.methods:
+        rows = sorted(run.trials(method).to_pylist(), key=lambda r: r["trial_id"])
+        assert "".join(str(int(r["outcome"] == "success")) for r in rows) == measured[part][method]["won"], method
+
+
+@pytest.mark.parametrize(
+    ("part", "n"),
+    [
+        ("methods", 1),
+        pytest.param("methods", 40, marks=pytest.mark.slow),
+        pytest.param("seen", 20, marks=pytest.mark.slow),
+    ],
+)
+def test_a_sample_of_the_rows_of_r2h_v3_is_judged_the_same_by_this_code(part, n):
+    assert list(map(str, rejudged(SHIPPED / V3[part], n))) == []
 
 
 @pytest.mark.slow
