@@ -23,6 +23,11 @@ OF_A_COLUMN = (
     "tests/report/test_latex.py",
 )
 """Tests of ours that hold in a changed tree as well."""
+BUT = (
+    "--deselect=tests/report/test_report.py::test_what_a_sweep_prints_is_the_tables_success_and_first_failures_in_few_lines",
+    "--deselect=tests/report/test_report.py::test_sr_says_how_many_rows_a_criterion_that_came_later_never_judged",
+)
+"""They name the criteria that there are."""
 
 READ = """
 from r2h_batch.report.compare.stored import stored_rows
@@ -112,7 +117,7 @@ assert old["passed_centred"].null_count == old["margin_centred_m"].null_count ==
 assert later("trials")["passed_centred"] == "0.3.0"
 table = said(f"report {FOLDERS[1]} --format json")
 assert '"sr"' in table
-text = said("compare run baselines")
+text = " ".join(said("compare run baselines --full").split())
 assert "lack centred (since 0.3.0)" in text and "oracle" in text.lower(), text
 """
 
@@ -129,10 +134,10 @@ def test_a_criterion_has_rates_tables_a_gradient_and_older_rows_without_it(tmp_p
         },
     )
     report(tree)
-    assert "`passed_centred`, `passed_pick`, `passed_received` | bool" in tree.tables_of_columns()
+    assert "`passed_centred`" in tree.tables_of_columns()
     assert tree.run(READ + "\nsys.exit()") == shipped
     tree.run(READ + USE_CENTRED)
-    tree.passes(*OF_A_CRITERION, *OF_A_COLUMN)
+    tree.passes(*OF_A_CRITERION, *OF_A_COLUMN, *BUT)
 
 
 ENTRY = """CriterionEntry("centred", "f_centre", "F_centre", 5, "#123456", SPLITS, True, since="0.9", unit="deg",
@@ -316,8 +321,8 @@ said("report run --by-object")
 old = shipped.trials(shipped.methods[0])
 assert old["passed_upright"].null_count == old["margin_upright_deg"].null_count == len(old) == 1000
 assert '"sr"' in said(f"report {FOLDERS[1]} --format json")
-assert "lack upright (since strange 1.0)" in said("compare run baselines")
-assert "upright (since strange 1.0) never judged 1000 rows of" in " ".join(said(f"report {FOLDERS[1]} --full").split())
+assert "lack upright (since strange 1.0)" in " ".join(said("compare run baselines --full").split())
+assert "upright (since strange 1.0) never judged 6000 rows of" in " ".join(said(f"report {FOLDERS[1]} --full").split())
 assert "criterion upright (strange 1.0), which did not judge it" in said(f"why {FOLDERS[1]} 0")
 
 # in Python: the unit, rewards in metres, and a gradient like that of a small turn
@@ -378,7 +383,7 @@ records = {(r["split"], r["method"]): r for r in csv.DictReader(io.StringIO(said
 for key, (k, n) in expected.items():
     assert abs(found[key]["slow"] - 100 * k / n) < 1e-9 and found[key]["slow_low"] < found[key]["slow_high"]
     assert abs(float(records[key]["slow"]) - 100 * k / n) < 1e-6
-text = {form: said(f"report run --format {form}") for form in ("md", "latex", "html")}
+text = {form: said(f"report run --format {form}{' --full' if form == 'md' else ''}") for form in ("md", "latex", "html")}
 (section,) = [part for part in text["md"].split("\\n\\n") if "Slow" in part]
 assert "Motions that take more than 8 s" in text["md"] and all(f"{100 * k / n:.1f}" in section for k, n in expected.values())
 assert "{Slow}" in text["latex"] and "Motions that take more than 8 s" in " ".join(text["latex"].replace("% ", "").split())
@@ -388,7 +393,7 @@ line = next(x for x in text["latex"].splitlines() if x.startswith("oracle &"))
 assert f"{100 * k / n:.1f}" in line.split(" & ")[-1] or f"& {100 * k / n:.1f} " in line
 groups = {g["group"]: g for g in json.loads(said("compare run --format json"))}
 assert groups["S0"]["shares"]["oracle"]["slow"]["total"] == n and groups["S0"]["shares"]["oracle"]["slow"]["count"] == k
-assert "Slow" in said("compare run") and "Slow" in said("compare run --format latex")
+assert "Slow" in said("compare run --full") and "Slow" in said("compare run --format latex")
 assert "slow_a" in said("compare run --format csv").splitlines()[0]
 said("sweep --benchmark r2h-v1 --method random --trials 12 --execute.sim mujoco --out mine")
 both = json.loads(said("compare mine baselines --format json"))[0]["shares"]
@@ -440,7 +445,7 @@ assert code == 0, said_there
 objects = load_run("run").header["objects"]
 assert [o["category"] for o in objects] == ["vase"] * 2 and not any(o["built_in"] for o in objects)
 assert any(r["outcome"] == "success" for r in load_run("run").trials("oracle").to_pylist())
-assert "of 1 families" in " ".join(said("report run").split())
+assert "of 1 families" in " ".join(said("report run --full").split())
 """
 LISTED_VASE = """
 assert "vase" in said("ls families").splitlines()[-1]
@@ -497,4 +502,4 @@ def test_a_strangers_package_adds_a_criterion_a_share_a_family_and_a_protocol_wi
         named = json.loads((tree.folder / "run" / "run.json").read_text())["plugins"]
         assert named["criterion.upright"]["package"] == "strange" and ("family.vase" in named) == ("FAMILY" in use)
         shutil.rmtree(tree.folder / "run")
-    tree.passes(*OF_A_CRITERION[:2], *OF_A_COLUMN[:3])  # those of LaTeX count on one share of rows
+    tree.passes(*OF_A_CRITERION[:2], *OF_A_COLUMN[:3], *BUT)  # those of LaTeX count on one share of rows

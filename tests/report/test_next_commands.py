@@ -14,7 +14,7 @@ from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.table import best_cells, table_of
 from r2h_batch.runs.store import join, load_run
 
-DEFAULT, _, *OTHERS = stored_rows()
+DEFAULT, _, *OTHERS = (f for f in stored_rows() if not f.name.startswith("r2h-v3"))  # other criteria
 
 
 def offered(runs):
