@@ -876,3 +876,26 @@ def test_a_pinch_needs_the_grip_of_coulombs_law():
     found = linprog(np.ones(wrench.shape[1]), A_eq=wrench, b_eq=[0, 0, 1, 0, 0, 0], method="highs")
     assert found.status == 0
     assert 1 / FRICTION <= found.fun <= 1 / (FRICTION * np.cos(np.pi / CONE_EDGES)) + 1e-9
+
+
+def test_the_room_of_the_joints_is_that_of_the_joint_that_has_least():
+    """Each joint in turn is the one nearest to the end of its range."""
+    lower, n = 0.25, 400
+    angles = np.zeros((n, 7), np.float32)
+    ranges = {2: (0, kernels.ELBOW_DEG), 3: (-kernels.TURN_DEG, kernels.TURN_DEG)}
+    ranges |= {4: (-kernels.EXTENSION_DEG, kernels.FLEXION_DEG), 5: (-kernels.RADIAL_DEG, kernels.ULNAR_DEG)}
+    rng = np.random.default_rng(2)
+    for k, (low, high) in ranges.items():
+        angles[:, k] = rng.uniform(low, high, n)
+    rooms = {2: (ranges[2][1] - angles[:, 2]) * lower}
+    rooms |= {
+        k: np.minimum(angles[:, k] - low, high - angles[:, k]) * 0.1 for k, (low, high) in ranges.items() if k > 2
+    }
+    expected = np.radians(np.stack([*rooms.values()], 1))
+    receiver = np.zeros((1, 5, 4), np.float32)
+    receiver[0, 1, :3], receiver[0, 2, :3], receiver[0, 3, 3] = (0.3, 0, 0), (0.3, lower, 0), 1.0
+    found = wp.zeros(n, dtype=wp.vec2, device="cpu")
+    given = [wp.array(receiver, dtype=wp.vec4), wp.zeros(n, dtype=int), wp.array(angles, dtype=kernels.vec7), found]
+    wp.launch(kernels.arm_rooms, n, [0, *given], device="cpu")
+    assert np.allclose(found.numpy()[:, 1], expected.min(1), atol=1e-6)
+    assert set(expected.argmin(1)) == {0, 1, 2, 3}
