@@ -115,7 +115,7 @@ def run(options: argparse.Namespace, report: Report) -> None:
     """Trains on each benchmark, and judges on both."""
     torch.set_num_threads(1)
     for name in ("steps", "batch", "trials", "seed", "rate"):
-        report.add(f"generator.{name}", getattr(options, name))
+        report.add(f"generators.{name}", getattr(options, name))
     judges, models = {}, {}
     for name in BENCHMARKS:
         benchmark = load_benchmark(name)
@@ -126,13 +126,13 @@ def run(options: argparse.Namespace, report: Report) -> None:
         print(f"on {name}", flush=True)
         models[name] = trained(evaluator, lessons, options)
         T_obj_ee, T_world_ee = Generator(evaluator.scene).start(asked, OTHER_SEED)
-        report.add(f"generator.start.on.{name}", int(evaluator.score(T_obj_ee, T_world_ee, asked).success.sum()))
+        report.add(f"generators.start.on.{name}", int(evaluator.score(T_obj_ee, T_world_ee, asked).success.sum()))
     for of, model in models.items():
         for name, (evaluator, asked) in judges.items():
             with torch.no_grad():
                 T_obj_ee, T_world_ee = (se3.orthonormalise(T).contiguous() for T in model(asked, OTHER_SEED))
             success = evaluator.score(T_obj_ee, T_world_ee, asked).success
-            report.add(f"generator.{of}.on.{name}", int(success.sum()))
+            report.add(f"generators.{of}.on.{name}", int(success.sum()))
             if options.pictures and name == of:
                 draw(evaluator, asked, (T_obj_ee, T_world_ee), options.pictures / of, 10)
 
@@ -158,11 +158,11 @@ BENCH = Bench(
 def shown(data: Mapping[str, Any]) -> dict[str, str]:
     """Successes of each network on each benchmark, in percent."""
     values = data["values"]
-    n = values["generator.trials"]
+    n = values["generators.trials"]
     lines = [
         [
             "before training" if of == "start" else f"trained on {of}",
-            *(f"{100 * values[f'generator.{of}.on.{b}'] / n:.1f}" for b in BENCHMARKS),
+            *(f"{100 * values[f'generators.{of}.on.{b}'] / n:.1f}" for b in BENCHMARKS),
         ]
         for of in ("start", *BENCHMARKS)
     ]
