@@ -143,10 +143,10 @@ BENCH = Bench(
     MEASURES,
     {
         "--steps": {"default": 300, "help": "of Adam"},
-        "--batch": {"default": 64, "help": "trials of a step"},
+        "--batch": {"default": 128, "help": "trials of a step"},
         "--lessons": {"default": 256, "help": "trials that it learns from"},
         "--trials": {"default": 128, "help": "trials that are asked afterwards, which it has not seen"},
-        "--rate": {"default": 2e-3, "help": "of learning"},
+        "--rate": {"default": 2e-4, "help": "of learning"},
         "--seed": {"default": 0, "help": "of the network and its lessons"},
         "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
         "--pictures": {"type": Path, "help": "folder for pictures of ten successes of each"},
