@@ -126,7 +126,7 @@ def licences() -> str:
         name = _cell(licence(installed))
         kinds.setdefault(SPDX.get(name, name), ([], [], []))[kind].append(installed.metadata["Name"])
     head = (
-        "| licence | r2h_batch needs | an extra needs | these bring along |",
+        "| licence | r2h_batch needs | an extra needs | these need |",
         "|---|---|---|---|",
     )
     rows = ["| " + " | ".join([name, *map(", ".join, kinds[name])]) + " |" for name in sorted(kinds, key=str.lower)]
@@ -134,14 +134,16 @@ def licences() -> str:
         (
             "# Licences of bundled data and of packages",
             "",
-            "`make licences` writes this page; do not edit it. r2h_batch itself: Apache-2.0.",
+            "For everybody who passes r2h_batch on. It has the licence Apache-2.0. `make licences` writes this page; do not edit"
+            " it.",
             "",
-            "The scripts beside the bundled data made all of it, under the project's licence: `assets/SOURCES.md`. The site"
-            " carries iframe-worker (MIT, `docs/javascripts/iframe-worker.js`).",
+            "The scripts beside the bundled data made all of it, under the same licence (`assets/SOURCES.md`). The site"
+            " contains iframe-worker (MIT, `docs/javascripts/iframe-worker.js`).",
             "",
             "## Packages",
             "",
-            "pip installs them; none is bundled. `constraints.txt` has the versions, the metadata name the licences.",
+            "pip installs them; none is bundled. Versions are those of `constraints.txt`, licences those of the packages'"
+            " metadata.",
             "",
             *head,
             *rows,
