@@ -523,7 +523,7 @@ def table_one(data: Mapping[str, Any]) -> str:
     ]
     unseen = ["Contact-Handover, category not seen", rows["S0", "Contact"]["reads"], *data["unseen"]]
     lines.insert(1 + [short(t) for t in titles].index("Contact"), unseen)
-    return markdown_table(["", "reads", "SR S0", "SR S1", "beside the others"], lines)
+    return markdown_table(["", "reads", "SR S0", "SR S1", "compared with the others"], lines)
 
 
 def beside(name: str, pairs: Sequence[Mapping[str, Any]]) -> str:

@@ -583,7 +583,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "table": rates_table(data),
         "categories_left_out": len(functional),
         "left_out": float(np.mean(functional)),
-        "label_rates": ", ".join(f"{v:,.0f} ({k})" for k, v in data["labels"].items()),
     }
 
 

@@ -347,10 +347,9 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
             ]
             for k in (*ranked, *bounds)
         ]
-        return markdown_table(["", "Reads", "SR", *(name.capitalize() for name in order), "beside others"], rows)
+        return markdown_table(["", "Reads", "SR", *(name.capitalize() for name in order), "compared with others"], rows)
 
     sighted = short_names(list(data["seen"]))
-    failures = [m["outcomes"] for of in (methods, data["seen"]) for m in of.values()]
     cost += [
         ["the pose stage of the five criteria", f"{ms['pose_none']:.3f}"],
         ["with Pick and Presented", f"{ms['pose']:.3f}"],
@@ -381,7 +380,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         **_bound_of(data, sighted, splits, kinds),
         "pose_ratio": ms["pose"] / ms["pose_none"],
         **{f"{track}_s": spent for track, spent in data["cpu_s"].items()},
-        "idle": ", ".join(c.capitalize() for c in order if not any(m.get(c) for m in failures)) or "none",
         "sees": SEES,
         "sights": table("seen", data["seen"]),
         **_believed(data, sighted, order),
