@@ -81,7 +81,7 @@ assets: $(VENV)/.installed-test  ## rebuilds everything under assets/ from its s
 	$(BIN)/python -m r2h_batch.assets.receiving.build_held_out
 	$(BIN)/python -m r2h_batch.assets.receiving.train_voxnet
 
-BENCHES := rating adversary throughput training_loop gradients collision ik plan execute growth meshes gates networks observe_export
+BENCHES := rating adversary generators throughput training_loop gradients collision ik plan execute growth meshes gates networks observe_export
 BENCH_RUNS := runs/bench-$(shell git rev-parse --short HEAD 2>/dev/null)
 bench: $(VENV)/.installed-test  ## every figure of the pages, measured in one go, and the pages written anew (RELEASE=checkout of the authors' release, VENDORS=folder of robots, SCANNED=folder, SCANS=folder of meshes, ARMS=folder for packages)
 	set -e; for b in $(BENCHES); do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done

@@ -26,7 +26,7 @@ APART = {
     "sees",
 }
 APART |= {"meshes", "r2h_v3", "growth", "gradients", "training_loop"}
-APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness", "adversary", "rating"}
+APART |= {"registry_arms", "closed_loop", "reception", "robots", "robustness", "adversary", "generators", "rating"}
 """Measured alone, on a commit of its own, since `make bench` has measured the others."""
 LONG = {"families", "judge_again", "learn"}
 """Benches of hours, which `make bench` leaves out; their pages name the command."""
