@@ -15,7 +15,9 @@ import argparse
 import statistics
 import time
 from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ProcessPoolExecutor
 from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -127,20 +129,30 @@ def every_benchmark(report: Report, clock: Clock, device: str, threads: int | No
     """Random poses of each built-in benchmark, the default first."""
     others = (name for name in BENCHMARK_NAMES if name not in (DEFAULT_BENCHMARK, RELEASE))
     for name in (DEFAULT_BENCHMARK, *others):
-        benchmark = load_benchmark(name)
-        evaluator = Evaluator(benchmark, KINEMATIC, device=device, threads=threads)
-        trials = benchmark.trials(512)
-        trials = trials[trials.trial_id.argsort()].to(device)  # S0 and S1 by turns
-        made = random.predict(trials, evaluator.scene, seed=0)
-        poses = made.T_obj_ee, made.T_world_ee, trials
         figure = f"training_loop.random.{name}"
+        evaluator, poses = random_poses(name, device, threads)
         sizes(report, evaluator, poses, clock, OF_EACH, figure)
         if device == "cpu":
-            for b in OF_EACH:
-                report.add(
-                    f"{figure}.b{b}.memory_mib",
-                    highest_mib(partial(evaluator.score, *repeated(poses, b), stages="pose")),
-                )
+            # in a process of its own, because memory that was used once is kept
+            with ProcessPoolExecutor(1, get_context("spawn")) as alone:
+                for b, mib in alone.submit(memory_mib, name, threads).result().items():
+                    report.add(f"{figure}.b{b}.memory_mib", mib)
+
+
+def random_poses(name: str, device: str, threads: int | None) -> tuple[Evaluator, Poses]:
+    """Random poses of a benchmark's first 1,024 trials, S0 and S1 by turns."""
+    benchmark = load_benchmark(name)
+    evaluator = Evaluator(benchmark, KINEMATIC, device=device, threads=threads)
+    trials = benchmark.trials(512)
+    trials = trials[trials.trial_id.argsort()].to(device)
+    made = random.predict(trials, evaluator.scene, seed=0)
+    return evaluator, (made.T_obj_ee, made.T_world_ee, trials)
+
+
+def memory_mib(name: str, threads: int | None) -> dict[int, float]:
+    """The most memory that this process holds during a call of each size, the smallest first."""
+    evaluator, poses = random_poses(name, "cpu", threads)
+    return {b: highest_mib(partial(evaluator.score, *repeated(poses, b), stages="pose")) for b in OF_EACH}
 
 
 def highest_mib(call: Callable[[], object]) -> float:
