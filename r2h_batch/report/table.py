@@ -5,11 +5,12 @@ import re
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from math import floor, log10
 from pathlib import Path
 from typing import Any
 
-from r2h_batch.base.registry import NOT_SAID
+from r2h_batch.base.registry import NOT_SAID, benchmark_in_words
 from r2h_batch.base.table import (
     INTERVAL,
     NA,
@@ -27,7 +28,7 @@ from r2h_batch.base.table import (
 from r2h_batch.config import PRESENTED_M, ExecutionError, ObjectErrors
 from r2h_batch.report.picks import pick_rates
 from r2h_batch.report.statistics import breakdown
-from r2h_batch.report.statistics.aggregate import Rate, Row, summarise
+from r2h_batch.report.statistics.aggregate import Rate, Row, rate_of, summarise
 from r2h_batch.report.statistics.codes import never_judged
 from r2h_batch.report.statistics.common import complete
 from r2h_batch.report.statistics.few import FEW
@@ -137,7 +138,8 @@ class Report:
         bounds: methods that are bounds (random, oracle): none of their cells is best.
         trained: what methods that learned were trained on, a sentence each.
         reads: method -> what it may read, a word of `READS`; empty where nobody says.
-        unjudged: criteria that did not judge rows, or whose package is not installed, a sentence each.
+        unjudged: criteria that did not judge rows, or whose package is not installed, or for which one of several benchmarks
+            does not ask, a sentence each.
     """
 
     rows: tuple[Row, ...]
@@ -274,8 +276,10 @@ def table_of(
     rows = summarise(tallies, "objects" if averages == {"objects"} else "trials", few)
     if all((c.get("plan") or {}).get("edge_check") != "moveit" for c in configurations):
         rows = tuple(_without(row, THROUGH) for row in rows)  # certified paths meet nothing
-    for asks in {PRESENTED} & {name for r in runs for name in r.asks}:
-        rows = tuple(_without(row, asks) for row in rows)  # a column of first failures says it
+    judged = {method for method in run.methods if PRESENTED in run.run_of(method).asks}
+    rows = tuple(  # a column of first failures says it
+        _without(row, PRESENTED) if row.method in judged else row for row in rows
+    )
     rates = pick_rates(run)
     rows = tuple(
         replace(row, shares={**row.shares, PICK: rates[row.split, row.method]})
@@ -305,7 +309,8 @@ def table_of(
 
 
 def _unjudged(run: Run, rows: Sequence[Row]) -> tuple[str, ...]:
-    """A sentence for each criterion of a package that came after rows were judged, or that is not installed any more."""
+    """A sentence for each criterion of a package that came after rows were judged, or that is not installed any more, and for
+    each run whose benchmark does not ask for what that of another one asks."""
     gone = [words for words in run.lacking if words.startswith("criterion ")]
     sentences_of = never_judged(run)
     for method in run.methods if gone else ():
@@ -315,7 +320,11 @@ def _unjudged(run: Run, rows: Sequence[Row]) -> tuple[str, ...]:
                 f"{lost} of {sum(row.n for row in own)} rows of {method} failed {' or '.join(gone)}, not installed here: SR"
                 " counts them as failed."
             )
-    return tuple(sentences_of)
+    for own in run.runs:
+        if lacks := [name for name in run.asks if name not in own.asks]:
+            of = f"{own.folder.absolute().name} ({benchmark_in_words(own.header['protocol'])})"
+            sentences_of.append(f"{of} is not judged by {', '.join(lacks)}: compare no SR with it.")
+    return tuple(dict.fromkeys(sentences_of))
 
 
 def _without(row: Row, share: str) -> Row:
@@ -445,7 +454,7 @@ def render(
         return _md(report)
     if fmt == "latex":
         return _latex(report, columns, intervals=intervals, times=times)
-    records = [_with_more(report, row) for row in report.rows]
+    records = _same_keys([_with_more(report, row) for row in report.rows])
     if fmt == "csv":
         origin = {k.replace(" ", "_"): v for k, v in report.origin.items()}
         return Table((), [found | origin for found in records]).csv()
@@ -553,6 +562,12 @@ def _with_more(report: Report, row: Row) -> dict[str, Any]:
     return found
 
 
+def _same_keys(records: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The records with the keys of all: None where a line has no such value."""
+    keys = list(dict.fromkeys(key for found in records for key in found))
+    return [{key: found.get(key) for key in keys} for found in records]
+
+
 def records_of(report: Report) -> list[dict[str, Any]]:
     """Records for people: also of how many rows each rate is, and what could not be judged."""
     return [
@@ -618,7 +633,7 @@ def brief(report: Report, more: str = "r2h-batch report RUN --full") -> str:
     records = [record | sr_ends(row) for record, row in zip(records_of(report), report.rows)]
     wide = len(records) > most
     if wide:  # a line for each method: SR of each split, the rest of all its trials
-        records = _by_method(records)
+        records = _by_method(report, records)
     failures = [c for c in report.headings if c not in TIMES and c != "sr"]
     said = [c for c in OF_SUCCESSES if c in report.shares]
     splits = [Column(s, f"SR {s}", PERCENT) for s in SPLITS if any(s in r for r in records)]
@@ -664,12 +679,17 @@ def sr_ends(row: Row) -> dict[str, float | None]:
     return rate_fields("ci", rate)
 
 
-def _by_method(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """A record for each method: that of its last line (all its trials), with SR of each split."""
+def _by_method(report: Report, records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """A record for each method: that of its last line (all its trials), with SR of each split, and shares of the successes of
+    all."""
     found: dict[str, dict[str, Any]] = {}
     for record in records:
         splits = {k: v for k, v in found.get(record["method"], {}).items() if k in SPLITS}
         found[record["method"]] = {**splits, record["split"]: record["sr"], **record}
+    for name, (method, record) in product(OF_SUCCESSES, found.items()):
+        own = [r.shares[name] for r in report.rows if r.method == method and name in r.shares]
+        if n := sum(rate.total or 0 for rate in own):
+            record |= rate_fields(name, rate_of(sum(rate.count or 0 for rate in own), n))
     return list(found.values())
 
 
@@ -915,7 +935,7 @@ def object_lines(run: Run, fmt: str = "md") -> str:
     """
     counted = [tally(run, method) for method in run.methods]
     lines = [line for t in counted for line in breakdown.by_object(t)]
-    records = [{"object": name} | record(row) for name, row in lines]
+    records = _same_keys([{"object": name} | record(row) for name, row in lines])
     if fmt == "md":
         return _objects_md(counted, Report(tuple(row for _, row in lines), {}), records)
     if fmt == "csv":

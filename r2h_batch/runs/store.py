@@ -101,12 +101,14 @@ class Run:
 
     @property
     def asks(self) -> tuple[str, ...]:
-        """Criteria that its benchmark asks for beside those of all, of those that there still are."""
-        return tuple(name for name in self.header.get("asks", ()) if name in ASKED_NAMES)
+        """Criteria that its benchmark asks for beside those of all, of those that there still are; of several runs those of any.
+        A method of several runs is judged by those of its own (`run_of`)."""
+        asked = {name for run in self.runs for name in run.header.get("asks", ())}
+        return tuple(name for name in ASKED_NAMES if name in asked)
 
     @property
     def criteria(self) -> tuple[CriterionEntry, ...]:
-        """All that its benchmark asks for, in the order of the stored columns."""
+        """All that its benchmark asks for, or one of them, in the order of the stored columns."""
         return criteria_of(self.asks)
 
     @property
@@ -208,7 +210,7 @@ class Run:
             )
         name = names[0] if method is None else self.named(method)
         row = self.row(self.trial_id(str(trial)), name)
-        run = next(r for r in self.runs if r.folder == self.entry(name).folder)
+        run = self.run_of(name)
         limits = run.header.get("configuration", {}).get("thresholds", {})
         command = picture_command(self, name, row["trial_id"])
         return explained(row, name, limits, command, head_m=run.header.get("head_clearance_m", 0.0))
@@ -310,6 +312,15 @@ class Run:
         names = ", ".join(e.name for e in self.entries) or "none"
         raise RunError(f"{self.folder}: no method {method!r}; it has {names}")
 
+    def run_of(self, method: str) -> "Run":
+        """The run that holds a method's rows: of several runs one of them, with the header by which they were judged.
+
+        Args:
+            method: its name in the run.
+        """
+        folder = self.entry(method).folder
+        return next(run for run in self.runs if run.folder == folder)
+
     def named(self, word: str) -> str:
         """The full name of a method.
 
@@ -350,8 +361,7 @@ class Run:
         Args:
             method: its name in the run.
         """
-        entry = self.entry(method)
-        run = next(r for r in self.runs if r.folder == entry.folder)
+        entry, run = self.entry(method), self.run_of(method)
         name = next(e.name for e in run.entries if e.slug == entry.slug)
         module = entry.source.get("function", "").partition(":")[0]
         word = module.removeprefix("r2h_batch.methods.").replace("_", "-")

@@ -16,9 +16,10 @@ from rounds import each
 from r2h_batch.__main__ import main
 from r2h_batch.config import PlanConfig
 from r2h_batch.report import table as report
+from r2h_batch.report.compare.stored import SHIPPED
 from r2h_batch.report.statistics import codes
 from r2h_batch.report.statistics.rates import OF_ALL
-from r2h_batch.runs.store import load_run
+from r2h_batch.runs.store import join, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
 
@@ -270,8 +271,49 @@ def test_a_report_and_its_objects_have_25_lines_whatever_there_is(tmp_path, meth
         assert main([line[0], str(run.folder), *line[1:], "--full"]) == 0
         assert len(capsys.readouterr().out.splitlines()) > len(said)
     if methods == 40:  # a line for each method, with SR of each split
-        text = report.brief(report.table_of(run))
-        assert md_tables(text)[0][0][2:4] == ["SR S0", "SR S1"] and "24 more methods" in text
+        table = report.table_of(run)
+        (heading, *lines), *_ = md_tables(text := report.brief(table))
+        assert heading[2:4] == ["SR S0", "SR S1"] and "24 more methods" in text
+        for line in each(lines):  # a share is of the successes of both splits
+            own = [r.shares for r in table.rows if r.method == line[0]]
+            for name, word in each(report.OF_SUCCESSES.items()):
+                there = [shares[name] for shares in own if name in shares]
+                pooled = 100 * sum(rate.count for rate in there) / sum(rate.total for rate in there)
+                assert line[heading.index(word)] == f"{pooled:.1f}"
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_each_run_of_a_table_is_judged_by_the_criteria_of_its_own_benchmark(order, capsys):
+    folders = [SHIPPED / name for name in ("r2h-v2-as-planned", "r2h-v3-as-planned")]
+    runs = [load_run(folders[k]) for k in order]
+    both = report.table_of(join(runs), alike=False)
+    lines = {(row.split, row.method): row for row in both.rows}
+    for run in each(runs):
+        for row in each(report.table_of(run).rows):
+            name = row.method if (row.split, row.method) in lines else f"{run.folder.name}/{row.method}"
+            found = lines.pop((row.split, name))
+            assert found.rates == row.rates and found.counts == row.counts and found.shares == row.shares
+            assert ("f_pick" in row.rates) == ("r2h-v3" in run.folder.name)
+    assert not lines
+    words = "r2h-v2-as-planned (r2h-v2) is not judged by pick, presented, received"
+    (said,) = both.unjudged
+    assert said.startswith(words) and words in report.brief(both)
+    cells = {r["method"]: r["f_pick"] for r in csv.DictReader(io.StringIO(report.render(both, "csv")))}
+    assert cells["r2h-v2-as-planned/oracle"] == "n/a" and cells["r2h-v3-as-planned/oracle"] == "0.0"
+    for fmt in each(("md", "latex", "json")):
+        assert "Handover-VA" in report.render(both, fmt)
+    assert command("report", *(run.folder for run in runs)) == 0
+    assert len(capsys.readouterr().out.splitlines()) <= 25
+
+
+def test_lines_of_objects_have_the_same_keys_though_some_have_no_success(tmp_path):
+    ends = np.where(np.arange(12) % 3 == 0, int(Outcome.PLAN), int(Outcome.SUCCESS))  # each first object fails
+    run = write_run(tmp_path / "run", {"m": ends}, 6, 6)
+    found = list(csv.DictReader(io.StringIO(report.object_lines(run, "csv"))))
+    assert {row["presented"] for row in found if row["object"] in ("bowl", "hammer")} == {"n/a"}
+    assert any(row["presented"] not in ("n/a", "") for row in found)
+    first, *others = json.loads(report.object_lines(run, "json"))["rows"]
+    assert all(row.keys() == first.keys() for row in each(others))
 
 
 def test_only_objects_with_ten_trials_are_shown_the_hardest_first(tmp_path):

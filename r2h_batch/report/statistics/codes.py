@@ -40,11 +40,12 @@ def states(table: pa.Table) -> dict[str, np.ndarray]:
 
 def judged_by(run: Run, method: str) -> tuple[str, ...]:
     """The criteria that a method's rows were judged by, in the order of `EVERY`: all but those that
-    came after its rows, and those that its benchmark asks for."""
+    came after its rows, and those that the benchmark of its own run asks for."""
+    asks = run.run_of(method).asks
     if not any(entry.since for entry in REGISTRY) or not sum(run.planned(method).values()):
-        return (*CRITERIA, *run.asks)
+        return (*CRITERIA, *asks)
     columns = run.shard("trials", method, 0).column_names
-    return (*(name for name in CRITERIA if f"passed_{name}" in columns), *run.asks)
+    return (*(name for name in CRITERIA if f"passed_{name}" in columns), *asks)
 
 
 def never_judged(run: Run) -> list[str]:

@@ -68,6 +68,8 @@ def common_trials(
                 advice = f"{shipped}: sweep like that"
             if what.startswith(HEADS):
                 advice = "sweep the older one again"
+            if what.startswith("benchmark"):
+                advice = "sweep both with the same --benchmark"
             if what.startswith("what"):
                 advice = "sweep both with the same --sees"
             if what.startswith("robot"):

@@ -84,17 +84,17 @@ def tally(run: Run, method: str) -> Tally:
     """A stored method's trials, counted shard by shard.
 
     Args:
-        run: what `load_run` gives.
+        run: what `load_run` or `join` gives; objects and criteria are those of the method's own run.
         method: its name in the run.
 
     Raises:
         ValueError: if a split has not as many rows as planned, or an outcome is unknown or not the
             first failure.
     """
-    trials = run.planned(method)
-    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _stored(run)))
+    trials, own = run.planned(method), run.run_of(method)
+    counted = Tally.of(method, tuple(trials), run.shards("trials", method, _stored(own)))
     counted = replace(
-        counted, judged=judged_by(run, method), category=run.categories, concerned=run.concerned
+        counted, judged=judged_by(run, method), category=own.categories, concerned=own.concerned
     )
     n = {found["split"]: found["n"] for found in counted.by("split")}
     check_planned(method, trials, n)
@@ -105,7 +105,7 @@ def tally(run: Run, method: str) -> Tally:
     )
     objects = groups["object"].to_pylist()
     concerned = {
-        c: np.array([o in own for o in objects], bool) for c, own in counted.concerned.items()
+        c: np.array([o in names for o in objects], bool) for c, names in counted.concerned.items()
     }
     says = first_failures(states(groups), split, counted.judged, concerned)
     other = (outcome < Outcome.INVALID_INPUT) & (outcome != says)
