@@ -202,11 +202,12 @@ BENCH = Bench(
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, str]:
-    """The tables of benchmarks on the page: time of a candidate, and memory of a call."""
+    """What the page says of each benchmark: a table of the time of a candidate, and the most memory of a call."""
     names, values = dict.fromkeys((DEFAULT_BENCHMARK, *BENCHMARK_NAMES)), data["values"]
 
+    own = {name: f"training_loop.random.{name}" for name in names}
+
     def table(figure: str) -> str:
-        own = {name: f"training_loop.random.{name}" for name in names}
         of = [b for b in OF_EACH if f"{own[DEFAULT_BENCHMARK]}.b{b}.{figure}" in values]
         rows = [
             [name, *(f"{values[f'{stem}.b{b}.{figure}']:,.0f}" for b in of)]
@@ -215,7 +216,10 @@ def shown(data: Mapping[str, Any]) -> dict[str, str]:
         ]
         return markdown_table(["benchmark", *(f"B = {b:,}" for b in of)], rows)
 
-    return {"benchmarks": table("core_us_per_candidate"), "memory": table("memory_mib")}
+    most = {name: [values.get(f"{stem}.b{b}.memory_mib") for b in OF_EACH] for name, stem in own.items()}
+    held = {name: max(filter(None, of), default=None) for name, of in most.items()}
+    memory = ", ".join(f"{mib:,.0f} ({name})" for name, mib in held.items() if mib)
+    return {"benchmarks": table("core_us_per_candidate"), "memory": memory}
 
 
 if __name__ == "__main__":
