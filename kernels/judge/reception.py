@@ -695,6 +695,18 @@ def into_hand_frame(arm: Arm, R: wp.mat33, p: wp.vec3) -> Arm:
     return arm
 
 
+@wp.func
+def arm_at(
+    bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4), trial: int, lean: float,
+    elbow: wp.vec3, wrist: wp.vec3,
+):  # fmt: skip
+    """A trial's arm, trunk and head in a posture that reaches a grasp, in the hand's frame."""
+    arm = leaned_with_head(receiver, head, trial, lean)
+    arm.elbow = elbow
+    arm.wrist = wrist
+    return into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
+
+
 @wp.kernel
 def arm_clears_robot(
     first: int, world: World, bodies: TrialBodies, receiver: wp.array2d(dtype=wp.vec4), head: wp.array2d(dtype=wp.vec4),
@@ -707,10 +719,7 @@ def arm_clears_robot(
     R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
-    arm = leaned_with_head(receiver, head, trial, lean_in[pair])
-    arm.elbow = elbow_in[pair]
-    arm.wrist = wrist_in[pair]
-    arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
+    arm = arm_at(bodies, receiver, head, trial, lean_in[pair], elbow_in[pair], wrist_in[pair])
     clear = head_distance(world, bodies, trial, R, p, arm, TOUCH_M, 0.0) > 0.0
     clear_out[pair] = clear and arm_distance(world, bodies, trial, R, p, arm, TOUCH_M, 0.0) > 0.0
 
@@ -727,10 +736,7 @@ def overlap_of_person(
     R = wp.zeros(shape=FRAMES, dtype=wp.mat33)
     p = wp.zeros(shape=FRAMES, dtype=wp.vec3)
     forward_kinematics(world, bodies.R_hand_world[trial], bodies.p_hand_world[trial], q[trial], R, p)
-    arm = leaned_with_head(receiver, head, trial, lean_in[pair])
-    arm.elbow = elbow_in[pair]
-    arm.wrist = wrist_in[pair]
-    arm = into_hand_frame(arm, bodies.R_hand_world[trial], bodies.p_hand_world[trial])
+    arm = arm_at(bodies, receiver, head, trial, lean_in[pair], elbow_in[pair], wrist_in[pair])
     room = head_distance(world, bodies, trial, R, p, arm, TOUCH_M, -1.0)
     room_out[pair] = wp.min(arm_distance(world, bodies, trial, R, p, arm, room, -1.0), 0.0)
 
@@ -842,10 +848,8 @@ def gaps_on_way(
     d = gripper_distance(
         gripper, hands, way.row, way.R_ee * R_back, way.R_ee * (wrist - R_back * way.target) + way.p_ee, way.drive, caps[0],
     )  # fmt: skip
-    arm = leaned_with_head(receiver, head, way.trial, 0.5 * t * way.lean)
-    arm.elbow = way.elbow_waits + 0.5 * t * (way.elbow - way.elbow_waits)
-    arm.wrist = way.R_world * wrist + way.p_world
-    arm = into_hand_frame(arm, bodies.R_hand_world[way.trial], bodies.p_hand_world[way.trial])
+    elbow = way.elbow_waits + 0.5 * t * (way.elbow - way.elbow_waits)
+    arm = arm_at(bodies, receiver, head, way.trial, 0.5 * t * way.lean, elbow, way.R_world * wrist + way.p_world)
     e = arm_distance(world, bodies, way.trial, links, origins, arm, caps[1], 0.0)
     return wp.vec2(d, wp.min(e, head_distance(world, bodies, way.trial, links, origins, arm, caps[1], 0.0)))
 
