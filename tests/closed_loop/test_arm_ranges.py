@@ -2,14 +2,13 @@
 
 import pytest
 import torch
+from problems import kinematic_evaluator
 
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.closed_loop import moving
 from r2h_batch.closed_loop.arm_ranges import lower_arm_angles, within_ranges
 from r2h_batch.closed_loop.moving import MovingHands, ReceiverMotion
-from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.reception import ANGLES, reception
 from r2h_batch.methods import oracle
 from r2h_batch.scene.hand import palm_frame
@@ -19,7 +18,7 @@ from r2h_batch.trials.holding.held_out import load_held_out
 
 @pytest.fixture(scope="module")
 def evaluator():
-    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
+    return kinematic_evaluator("r2h-v1")
 
 
 def test_angles_are_those_of_the_judge_at_the_grasps_that_people_take(evaluator):

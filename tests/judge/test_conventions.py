@@ -1,5 +1,6 @@
 """Hints about poses and motions in another convention, on the oracle's answers written in each of them."""
 
+import copy
 import math
 import re
 import warnings
@@ -7,7 +8,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
-from problems import default_evaluator
+from problems import default_evaluator, kinematic_evaluator
 from rounds import each
 from scipy.spatial.transform import Rotation
 
@@ -27,15 +28,28 @@ HALF = torch.diag(torch.tensor([-1.0, -1.0, 1.0, 1.0]))
 @pytest.fixture(scope="module")
 def fresh():
     """Makes an evaluator that was not asked before."""
-    return lambda: Evaluator(load_benchmark("r2h-v0"), EvalConfig(execute=ExecConfig(sim="none")))
+    return never_asked
+
+
+def never_asked(name="r2h-v0"):
+    """An evaluator that has its scene from others, and that nobody asked before."""
+    found = copy.copy(kinematic_evaluator(name))
+    found.called = found.moved = False
+    return found
 
 
 @pytest.fixture(scope="module")
-def solved():
-    """Trials that the oracle solves, its poses, and the scores of its motions."""
+def answered():
+    """Trials, and the oracle's answers."""
     evaluator = default_evaluator().kinematic
     trials = evaluator.benchmark.trials(8)
-    answer = oracle.predict(trials, evaluator.scene, seed=0)
+    return trials, oracle.predict(trials, evaluator.scene, seed=0)
+
+
+@pytest.fixture(scope="module")
+def solved(answered):
+    """Trials that the oracle solves, its poses, and the scores of its motions."""
+    evaluator, (trials, answer) = default_evaluator().kinematic, answered
     poses = [answer.T_obj_ee, answer.T_world_ee]
     scores = evaluator.score(*poses, trials)
     assert scores.success.sum() >= 12
@@ -180,7 +194,7 @@ def test_motions_in_degrees_or_milliseconds_are_told(solved, fresh, of_q, of_tim
 @pytest.mark.parametrize("name", ["r2h-v0", "r2h-release"])
 @pytest.mark.parametrize("hand", ["true", "estimated"])
 def test_the_hands_pose_in_place_of_the_ees_is_named(name, hand):
-    evaluator = Evaluator(load_benchmark(name), threads=1)
+    evaluator = never_asked(name)
     trials = evaluator.benchmark.trials(6)
     T = trials.T_world_hand if hand == "true" else predict_target(trials, evaluator.scene, seed=0).T.float()
     assert (hand == "true") == torch.equal(T, trials.T_world_hand)
@@ -194,7 +208,7 @@ def test_the_hands_pose_in_place_of_the_ees_is_named(name, hand):
 @pytest.mark.parametrize("of_the_hand", ["its turn", "not its turn"])
 def test_the_palm_in_place_of_the_ees_position_is_named(name, of_the_hand):
     """Turned about the base, such rows pass Safe since they are nowhere near the hand: that is no evidence."""
-    evaluator = Evaluator(load_benchmark(name), threads=1)
+    evaluator = never_asked(name)
     trials = evaluator.benchmark.trials(6)
     answer = random.predict(trials, evaluator.scene, seed=0)
     T = (trials.T_world_hand if of_the_hand == "its turn" else answer.T_world_ee).clone()
@@ -268,7 +282,7 @@ def test_one_gripper_that_is_not_in_the_hand_is_enough(fresh, solved):
     assert not any("hand's pose" in str(w.message) for w in told)
 
 
-def test_a_benchmark_with_more_criteria_has_hints_too():
+def test_poses_in_another_convention_are_told_on_a_benchmark_with_more_criteria_too():
     evaluator = Evaluator(load_benchmark("r2h-v3").until("present"), EvalConfig(execute=ExecConfig(sim="none")))
     trials = evaluator.benchmark.trials(6)
     known = load_benchmark("r2h-v3").certificates(trials.trial_id.numpy())
@@ -319,11 +333,9 @@ OF_OTHER_ROWS = {
 
 
 @pytest.mark.parametrize("name", OF_OTHER_ROWS)
-def test_answers_that_stand_in_other_rows_are_told(name):
+def test_answers_that_stand_in_other_rows_are_told(answered, name):
     """The default benchmark's ids go split by split, so that rows by id are those of other trials."""
-    evaluator = default_evaluator().kinematic
-    trials = evaluator.benchmark.trials(8)
-    answer = oracle.predict(trials, evaluator.scene, seed=0)
+    evaluator, (trials, answer) = default_evaluator().kinematic, answered
     rows = OF_OTHER_ROWS[name](trials.trial_id)
     poses = answer.T_obj_ee[rows], answer.T_world_ee[rows]
     words = evaluator.hint(evaluator.score(*poses, trials, stages="pose"), *poses, trials)

@@ -6,11 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 import torch
+from problems import kinematic_evaluator
 from rounds import each
 
 from r2h_batch import load_benchmark
-from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.fingers_way import PARTS, fingers_way, gripper_radii, heights
 from r2h_batch.judge.grasp import gripper_poses, open_clearance, way_in_clearance
 from r2h_batch.judge.least import SHARE, TOLERANCE_M, least_along
@@ -22,7 +21,7 @@ from r2h_batch.scene.robot import ShapeKind, ee_pose, gripper_primitives_at
 
 @cache
 def scene():
-    return Evaluator(load_benchmark("r2h-v2"), EvalConfig(execute=ExecConfig(sim="none"))).scene
+    return kinematic_evaluator("r2h-v2").scene
 
 
 @pytest.mark.check

@@ -9,12 +9,12 @@ import pytest
 import torch
 from judge_twin import Again
 from people_twin import episode_of, reception_of
+from problems import kinematic_evaluator
 
 from r2h_batch import Evaluator, load_benchmark, stages
 from r2h_batch.closed_loop.env import End, HandoverEnv
 from r2h_batch.closed_loop.episodes import play
 from r2h_batch.closed_loop.policies import POLICIES, kind_of_action
-from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.judge import plan
 from r2h_batch.judge.motion import time_law
 from r2h_batch.judge.reception import reception
@@ -25,7 +25,6 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.types import Predictions, Trials
 
-KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
 SHIPPED = load_run(ROWS / "v1")
 
 
@@ -35,9 +34,7 @@ def again(place: int) -> Again:
     trial_id = torch.tensor(row["trial_id"].to_numpy())
     T = [torch.tensor(np.array(row[k].to_pylist(), np.float32)).view(1, 4, 4) for k in ("T_obj_ee", "T_world_ee")]
     every = load_benchmark("r2h-v1").trials(int(trial_id) // 2 + 1)
-    return scored(
-        Evaluator(load_benchmark("r2h-v1"), KINEMATIC), every[every.trial_id == trial_id], Predictions(trial_id, *T)
-    )
+    return scored(kinematic_evaluator("r2h-v1"), every[every.trial_id == trial_id], Predictions(trial_id, *T))
 
 
 def scored(evaluator: Evaluator, trials: Trials, answer: Predictions) -> Again:
@@ -155,7 +152,7 @@ def test_a_row_that_lies_is_noticed(changes, noticed, first):
 @pytest.fixture(scope="module")
 def handed_over() -> tuple[Again, Any]:
     """A trial that the oracle solves, and its scores."""
-    evaluator = Evaluator(load_benchmark("r2h-v1"), KINEMATIC)
+    evaluator = kinematic_evaluator("r2h-v1")
     trials = load_benchmark("r2h-v1").trials(1)[:1]
     answer = oracle.predict(trials, evaluator.scene, evaluator=evaluator)
     scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)

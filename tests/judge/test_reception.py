@@ -11,6 +11,7 @@ import torch
 import warp as wp
 from fcl_twin import distance, hull, primitive
 from oracle import head_of
+from problems import kinematic_evaluator
 from rounds import each
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
@@ -49,7 +50,7 @@ RANGES = {"elbow": (0, 150), "supination": (-80, 80), "wrist_flexion": (-70, 80)
 
 @cache
 def evaluator():
-    return Evaluator(load_benchmark("r2h-v1"), EvalConfig(execute=ExecConfig(sim="none")))
+    return kinematic_evaluator("r2h-v1")
 
 
 @pytest.fixture(scope="module")

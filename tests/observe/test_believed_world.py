@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import torch
 import warp as wp
+from problems import default_evaluator
 from rounds import each
 from scipy.spatial import cKDTree
 
-from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.observe.believed_world import ROOM_M, believed_world
 from r2h_batch.observe.estimates import believed_receiver
 from r2h_batch.observe.known import known_moments
@@ -19,7 +19,7 @@ from r2h_batch.trials.noise import PredictorNoise, estimated_hand
 
 @cache
 def scene():
-    return Evaluator(load_benchmark("r2h-v3")).scene
+    return default_evaluator("r2h-v3").scene
 
 
 def world(sees, n=6):

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.base.launch.threads import on_threads
-from r2h_batch.config import PlanConfig
+from r2h_batch.config import EvalConfig, ExecConfig, PlanConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.grasp import attach, close_gripper
 from r2h_batch.judge.ik import IkResult, one_branch, solve_ik
@@ -102,6 +102,12 @@ def solve(scene: Scene, batch: Batch, config: PlanConfig | None = None, *, threa
 def default_evaluator(name: str = "r2h-v0") -> Evaluator:
     """One Evaluator for all tests of a process."""
     return Evaluator(load_benchmark(name))
+
+
+@cache
+def kinematic_evaluator(name: str) -> Evaluator:
+    """One Evaluator that takes motions as planned for all tests of a process. It is not changed: what changes it asks a copy."""
+    return Evaluator(load_benchmark(name), EvalConfig(execute=ExecConfig(sim="none")))
 
 
 def assert_same(a: Scores, b: Scores) -> None:
