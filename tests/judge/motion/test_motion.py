@@ -43,6 +43,9 @@ from r2h_batch.scene.model import SceneModel
 from r2h_batch.scene.robot import ee_pose, forward_kinematics
 from r2h_batch.types import Outcome, PlanReason
 
+FEW = 4
+"""Paths that MuJoCo-Warp moves the arm along here: on a CPU each takes seconds."""
+
 
 def test_servos_follow_the_time_law_with_the_speed_fed_forward():
     rng = np.random.default_rng(0)
@@ -242,9 +245,9 @@ def test_a_motion_that_is_held_up_keeps_its_margin_at_every_step_of_mujoco(besid
     "config", [MUJOCO, MJWARP, pytest.param(BRIEF_WARP, marks=pytest.mark.slow)], ids=["mujoco", "mjwarp-arm", "mjwarp"]
 )
 def test_rows_do_not_depend_on_their_batch(config):
-    p, whole = problems(), reference_run(config)
-    found = torch.nonzero(p.plan.length > 0).flatten()
-    for rows in (found[:1], found[:5].flip(0)):
+    p, whole = problems(), reference_run(config, FEW)
+    found = torch.nonzero(p.plan.length > 0).flatten()[:FEW]
+    for rows in (found[:1], found[1:3].flip(0)):
         path, length = p.plan.path[rows], p.plan.length[rows]
         motion = time_path(path, length, config)
         with on_threads(1):
@@ -257,8 +260,8 @@ def test_rows_do_not_depend_on_their_batch(config):
 
 @pytest.mark.parametrize("engines", [(ARM, MJWARP), (BRIEF, BRIEF_WARP)], ids=["arm", "scene"])
 def test_both_engines_move_the_arm_the_same_way(engines):
-    c, w = (reference_run(e) for e in engines)
-    assert torch.equal(c.length, w.length)
+    c, w = (reference_run(e, FEW) for e in engines)
+    assert torch.equal(c.length, w.length) and (c.length > 100).sum() == FEW
     assert float((c.path - w.path).abs().max()) < 5e-6
     np.testing.assert_allclose(c.t_exec_s.numpy(), w.t_exec_s.numpy(), atol=c.sample_s * 1.01)
     assert float((c.slack_m - w.slack_m).abs().max()) < 1e-6
