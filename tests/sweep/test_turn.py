@@ -11,24 +11,29 @@ from r2h_batch import load_benchmark
 from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.runs.store import load_run
-from r2h_batch.scene.objects import object_digest
+from r2h_batch.scene.objects import S1_NAMES, object_digest
 from r2h_batch.trials.edit import FRAMES, frame_of, in_frame
 
 BY_X = """
 import torch
-from r2h_batch.methods.oracle import predict as solved
+from r2h_batch.methods.intent import predict as solved
 
 
-def by_x(trials, scene, *, seed, evaluator):
+def by_x(trials, scene, *, seed):
     '''Answers objects whose centre of mass has a positive x: it depends on how a mesh lies.'''
-    answer = solved(trials, scene, seed=seed, evaluator=evaluator)
     ahead = torch.tensor([bool(o.com[0] > 0) for o in scene.objects])[trials.object_index.long()]
-    answer.T_world_ee[~ahead, :3, 3] += 5.0
-    return answer
+    grasps, handovers = (torch.eye(4).repeat(len(trials), 1, 1) for _ in range(2))
+    handovers[:, :3, 3] += 5.0
+    if ahead.any():
+        answer = solved(trials[ahead], scene, seed=seed)
+        grasps[ahead], handovers[ahead] = answer.T_obj_ee, answer.T_world_ee
+    return grasps, handovers
 """
 
 
 TURNED = (*FRAMES, "20,40,-60")
+SOME = "".join(f"  - built_in: {category}_{k:02d}\n" for category in S1_NAMES for k in (0, 3))
+"""Objects of r2h-v2: each turn makes the scene's tables anew, of every object."""
 FEW = ("--trials", "28", "--splits", "S1", "--execute.sim", "none", "--quiet")
 
 
@@ -41,11 +46,11 @@ def run(tmp_path_factory):
     """A run, and its turn test: the same sweep with each turn, into a folder beside it."""
     folder = tmp_path_factory.mktemp("turn")
     (folder / "own.py").write_text(BY_X)
-    methods = ["intent", f"mine={folder / 'own.py'}:by_x"]
-    assert command("sweep", "--method", *methods, *FEW, "--out", folder / "run") == 0
+    (folder / "some.yaml").write_text(f"protocol: r2h-v2\nobjects:\n{SOME}")
+    line = ["--method", "intent", f"mine={folder / 'own.py'}:by_x", "--benchmark", folder / "some.yaml", *FEW]
+    assert command("sweep", *line, "--out", folder / "run") == 0
     for turn in TURNED:
-        own = [f"--turn={turn}", "--out", folder / "run-turned" / turn]
-        assert command("sweep", "--method", *methods, *FEW, *own) == 0
+        assert command("sweep", *line, f"--turn={turn}", "--out", folder / "run-turned" / turn) == 0
     return folder
 
 
@@ -57,7 +62,8 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert {name: t["marked"] for name, t in found.items()} == {"Intent-Handover": False, "mine": True}
     moves = {name: {m["turn"]: m["points"] for m in t["moves"]} for name, t in found.items()}
     names = load_run(run / "run").trials("mine")["object"].to_pylist()
-    ahead = {o.name: o.com[0] > 0 for o in load_benchmark().objects}
+    objects = load_benchmark(run / "some.yaml").objects
+    ahead = {o.name: o.com[0] > 0 for o in objects}
     assert set(moves["mine"]) == set(TURNED) and any(ahead[n] for n in names)
     assert max(abs(points) for points in moves["mine"].values()) >= 20
     assert all(moves["Intent-Handover"][turn] == 0 for turn in FRAMES)
@@ -81,7 +87,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     assert "^ mine, S1: success" in said and "| mine ^" in said and "Intent-Handover ^" not in said
     for turn in TURNED:
         table = load_run(run / "run-turned" / turn).trials("mine")
-        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in load_benchmark().objects}
+        com = {o.name: (frame_of(turn) @ o.com)[0] > 0 for o in objects}
         solved = np.array(table["outcome"].to_pylist()) == "success"
         assert not solved[[not com[n] for n in table["object"].to_pylist()]].any() and solved.any()
     # a turned run is a run like any other: its rows are what the evaluator says
@@ -91,7 +97,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
 
 def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys, tmp_path):
     shutil.copytree(run / "run", tmp_path / "run")
-    few = ["--trials", "4", "--splits", "S1", "--execute.sim", "none", "--quiet"]
+    few = ["--trials", "4", "--splits", "S1", "--execute.sim", "none", "--quiet", "--benchmark", run / "some.yaml"]
     for turn in FRAMES:
         out = tmp_path / "run-turned" / turn
         assert command("sweep", "--method", "intent", *few, "--turn", turn, "--out", out) == 0
@@ -102,7 +108,8 @@ def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys,
 
 
 def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
-    assert command("sweep", "--method", "intent", *FEW, "--seed", 3, "--out", tmp_path / "run") == 0
+    few = ["--trials", "1", "--splits", "S1", "--execute.sim", "none", "--quiet", "--benchmark", run / "some.yaml"]
+    assert command("sweep", "--method", "random", *few, "--seed", 3, "--out", tmp_path / "run") == 0
     shutil.copytree(run / "run-turned", tmp_path / "run-turned")
     capsys.readouterr()
     assert command("report", tmp_path / "run") == 2
