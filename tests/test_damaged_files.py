@@ -143,7 +143,7 @@ def test_a_damaged_file_is_read_or_refused_in_one_line_and_nothing_is_lost(name:
     kind = KINDS[name]
     named = {**ANY, **kind.own}
 
-    @settings(max_examples=12, deadline=None, database=None, suppress_health_check=list(HealthCheck))
+    @settings(max_examples=6, deadline=None, database=None, suppress_health_check=list(HealthCheck))
     @given(st.one_of(BYTES, st.sampled_from(sorted(named)).map(named.__getitem__)))
     def tried(damage: Damage) -> None:
         assert (wrong := what_is_wrong(kind, damage)) == "", wrong

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import re
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -51,6 +52,11 @@ def gripper_mesh(file: str, scale: float = 1e-3) -> trimesh.Trimesh:
 def face_samples(mesh: trimesh.Trimesh, count: int = 20_000) -> np.ndarray:
     points, _ = trimesh.sample.sample_surface(mesh, count, seed=1)
     return np.concatenate([points, mesh.vertices])
+
+
+@cache
+def finger_points(part: str) -> np.ndarray:
+    return face_samples(gripper_mesh(f"robotiq_arg2f_85_{part}"), 8_000)
 
 
 def union_depth(kinds, poses, sizes, points):
@@ -136,9 +142,8 @@ def test_gripper_shapes_cover_the_finger_meshes_where_the_urdf_puts_them(gap_m):
     for side in ("left", "right"):
         for part in FINGERS:
             chosen = np.array([n.startswith(f"{side}_{part}_") for n in names])
-            mesh = gripper_mesh(f"robotiq_arg2f_85_{part}")
             T = T_gripper_world @ body_pose(data, f"{side}_{part}")
-            points = trimesh.transform_points(face_samples(mesh, 8_000), T)
+            points = trimesh.transform_points(finger_points(part), T)
             outside = union_depth(ROBOT.gripper.kind[chosen], poses[chosen], ROBOT.gripper.size[chosen], points)
             assert outside.max() < 0.5e-3, (side, part, outside.max())
         pad = int(np.flatnonzero(names == f"{side}_pad")[0])

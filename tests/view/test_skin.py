@@ -26,7 +26,7 @@ HELD = {"upper_arm": 0.90, "forearm": 0.96}
 def drawn(request):
     """Trials with people, their hands' sides and skins (vertices in the world), and the skins that are drawn."""
     benchmark = edited(BenchmarkChoice(people=request.param))
-    trials, hands = benchmark.trials(12), Hands.posed(benchmark.hand_set)
+    trials, hands = benchmark.trials(5), Hands.posed(benchmark.hand_set)
     k = trials.hand_index.long()
     T = trials.T_world_hand.double()
     palm = (T[:, :3, :3] @ hands.palm_normal[k].double()[:, :, None])[:, :, 0].numpy()

@@ -25,16 +25,17 @@ def reader(tmp_path_factory):
     return Reader(out)
 
 
-def drawing_of(reader):
-    """A row of `learned` that was picked, carried and received."""
+@pytest.fixture(scope="module")
+def drawing(reader):
+    """A row of `learned` that was picked, carried and received. It is not changed."""
     method = reader.method("learned")
     row = next(r for r in reader.rows(method).to_pylist() if r["passed_received"])
     return Drawing(reader.trial(row["trial_id"], method))
 
 
 @needs("gl")
-def test_a_row_is_told_from_the_cameras_on(reader):
-    story = story_of(reader, drawing_of(reader), 4)
+def test_a_row_is_told_from_the_cameras_on(reader, drawing):
+    story = story_of(reader, drawing, 4)
     assert story.before.length == round(4 * SEEN_S)
     seen = list(story.before.images((320, 240)))
     assert len(seen) == story.before.length and seen[0].shape == (240, 320, 3)
@@ -42,7 +43,7 @@ def test_a_row_is_told_from_the_cameras_on(reader):
 
 
 @needs("gl")
-def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(reader, tmp_path, monkeypatch):
+def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(drawing, tmp_path, monkeypatch):
     said = []
     around = Caption.around
 
@@ -52,7 +53,7 @@ def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(reader, tm
 
     monkeypatch.setattr(Caption, "around", listening)
     gray = Clip(3, lambda size: (np.full((size[1], size[0], 3), 11, np.uint8) for _ in range(3)), "seen")
-    write_film([Story(drawing_of(reader), gray)], tmp_path / "x.gif", size=(240, 180), fps=2)
+    write_film([Story(drawing, gray)], tmp_path / "x.gif", size=(240, 180), fps=2)
     words = [w for _, w in said]
     assert [g for g, _ in said[:3]] == [11] * 3 and words[:3] == [("seen", "")] * 3
     does = [w[1] for w in words[3:]]
