@@ -6,13 +6,14 @@ import convex_twin
 import mujoco
 import numpy as np
 import pytest
+import trimesh
 import warp as wp
 from scipy.spatial.transform import Rotation
 
 from r2h_batch.base.launch import init_warp, launch
 from r2h_batch.kernels.geometry import gjk as kernel
 from r2h_batch.kernels.geometry import shape as shapes
-from r2h_batch.kernels.geometry.closest import from_point, from_segment
+from r2h_batch.kernels.geometry.closest import closest_on_triangle, from_point, from_segment
 from r2h_batch.kernels.options import OPTIONS
 from r2h_batch.scene import bounds
 from r2h_batch.scene.objects import OBJECT_NAMES, load_objects
@@ -64,6 +65,15 @@ def segments(
     i = wp.tid()
     distance_out[i] = wp.length(from_segment(b0[i], b1[i], a0[i], a1[i]))
     point_out[i] = wp.length(from_point(a0[i], b0[i], b1[i]))
+
+
+@wp.kernel
+def on_triangles(
+    x: wp.array(dtype=wp.vec3), a: wp.array(dtype=wp.vec3), b: wp.array(dtype=wp.vec3), c: wp.array(dtype=wp.vec3),
+    nearest_out: wp.array(dtype=wp.vec3),
+):  # fmt: skip
+    i = wp.tid()
+    nearest_out[i] = closest_on_triangle(x[i], a[i], b[i], c[i])
 
 
 class Pairs:
@@ -336,3 +346,19 @@ def test_segment_distance_is_never_above_the_truth_even_for_nearly_parallel_segm
     assert np.abs(out[1].numpy() - point).max() <= 1e-6
     assert (out[0].numpy() - truth).max() <= 2e-6
     assert np.quantile(np.abs(out[0].numpy() - truth), 0.99) <= 1e-6
+
+
+def test_the_nearest_point_of_a_triangle_is_at_each_corner_edge_and_inside_where_trimesh_has_it():
+    rng, n = np.random.default_rng(21), 3000
+    a, b, c = ((0.1 * rng.normal(size=(n, 3))).astype(np.float32) for _ in range(3))
+    x = (a + b + c) / 3 + (0.15 * rng.normal(size=(n, 3))).astype(np.float32)
+    found = np.zeros((n, 3), np.float32)
+    init_warp()
+    launch(on_triangles, n, inputs={"x": x, "a": a, "b": b, "c": c}, outputs={"nearest": found}, device="cpu")
+    corners = np.stack([a, b, c], 1).astype(np.float64)
+    true = trimesh.triangles.closest_point(corners, x.astype(np.float64))
+    assert np.abs(np.linalg.norm(found - x, axis=1) - np.linalg.norm(true - x, axis=1)).max() < 1e-6
+    at = np.linalg.norm(true[:, None] - corners, axis=2) < 1e-9
+    weights = trimesh.triangles.points_to_barycentric(corners, true)
+    on_edge = (np.abs(weights) < 1e-9).sum(1) == 1
+    assert at.sum(0).min() > 100 and on_edge.sum() > 300 and (weights > 1e-6).all(1).sum() > 100
