@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test test-all test-touched lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
+.PHONY: help demo test test-all test-touched alone lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -18,9 +18,12 @@ FIRST_GO := $(addprefix tests/,judge kernels methods observe trials training)
 SECOND_GO := tests $(addprefix --ignore=,$(FIRST_GO))
 TOGETHER := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --max-worker-restart 0 --durations=25
 
-test: lint  ## linters, types, and the tests of every day, in some ten minutes; tells what was left out and how to get it
+test: $(VENV)/.installed-test  ## linters, types, and the tests of every day; tells what was left out and how to get it
+	@$(MAKE) --no-print-directory -j2 --output-sync=target lint alone  # each keeps one core busy, and neither the other
 	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(FIRST_GO)
 	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(SECOND_GO)
+
+alone: $(VENV)/.installed-test
 	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole"
 
 test-all: lint  ## every test that needs no GPU: before a release
