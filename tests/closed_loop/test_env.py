@@ -13,6 +13,7 @@ import torch
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
+from problems import kinematic_evaluator
 from rounds import each
 from scipy.spatial.transform import Rotation
 
@@ -51,7 +52,7 @@ def evaluator_of(robot):
 def scores_of(robot):
     """Good handovers, and random ones: some fail, some have no path, some search for theirs."""
     evaluator, benchmark = evaluator_of(robot)
-    trials = benchmark.trials(8)
+    trials = benchmark.trials(8 if robot == "ur5e_2f85" else 4)  # an arm of seven joints takes longer
     good = oracle_method.predict(trials, evaluator.scene, evaluator=evaluator)
     poor = random_method.predict(trials, evaluator.scene, seed=3)
     some = torch.arange(len(trials)) % 4 == 3
@@ -119,7 +120,7 @@ def test_the_planned_motion_beside_a_still_hand_has_todays_verdicts_bit_for_bit(
     q = env.trace()[0].numpy().astype(np.float64)
     found = np.flatnonzero((scores.path_len > 0).numpy() & (env.ends != int(End.DROP)).numpy())
     paths = [thinned(q[i]) for i in found]
-    assert len(found) > 10 and (robot == "panda_hand" or (scores.path_len[found] > 2).any())
+    assert len(found) > len(env.ends) * 10 / 16 and (robot == "panda_hand" or (scores.path_len[found] > 2).any())
     late = (policy.begin - scores.path_time_s)[found]  # every segment waits for the next step
     assert late.min() > -1e-3 and (late < env.step_s * torch.arange(late.shape[1]) + 1e-3).all()
     for i, path in zip(found, paths, strict=True):
@@ -166,7 +167,7 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
     env = HandoverEnv(scores, ReceiverMotion("moves", 0.15, 40.0), action="posture")
     seen, _ = env.reset()
     policy, looked, near, steps = Planned(env), 0, 0, 0
-    while running(env) and (looked < 8 or not near):
+    while running(env) and (looked < 6 or not near):
         rows = torch.nonzero(env.ends == int(End.RUNNING)).flatten()
         before, q0, t0 = env.gap.clone(), env.q.clone(), env.times
         moving = env.hands.travel(t0, t0 + env.step_s) > 1e-6
@@ -193,10 +194,10 @@ def test_distances_between_steps_hold_against_dense_samples_of_mujoco_c_and_the_
             if not passed.touch[k]:
                 assert min(float(before[i]), float(passed.gap_m[k])) >= least - 2e-5
             looked, near = looked + 1, near + (least < 0.03)
-    assert looked >= 7 and near >= 1
+    assert looked >= 5 and near >= 1
 
 
-@pytest.mark.parametrize("name", ["servo", "stop", "replan"])
+@pytest.mark.parametrize("name", ["servo", pytest.param("stop", marks=pytest.mark.slow), "replan"])
 def test_rows_do_not_depend_on_their_batch(scores, name):
     config, rows = LoopConfig(horizon_s=2.5), torch.tensor([5, 0])
     (whole, e), (some, f) = (played(part, name, "moves", config=config) for part in (scores[:6], scores[rows]))
@@ -268,7 +269,7 @@ def test_arms_keep_their_limits_and_every_kind_of_action_moves_them(robot):
     for _ in range(20):
         twist.step(up)
     rose = (twist.T_world_ee[:, 2, 3] - z)[twist.ends == int(End.RUNNING)]
-    assert ((rose - 0.05).abs() < 0.02).all() and len(rose) > 5
+    assert ((rose - 0.05).abs() < 0.02).all() and len(rose) > len(z) * 5 / 16
 
 
 def test_contacts_say_who_moved(scores):
@@ -722,7 +723,7 @@ def test_an_object_that_goes_farther_than_1_cm_while_it_is_taken_is_not_received
     assert (env._why == int(envs.Why.TAKEN if end == End.SUCCESS else envs.Why.NOT_STILL)).all()
 
 
-@pytest.mark.parametrize("rate_hz", [20, 50])
+@pytest.mark.parametrize("rate_hz", [20, pytest.param(50, marks=pytest.mark.slow)])
 def test_an_object_within_reach_is_received_after_it_was_held_out_for_a_tenth_of_a_second(scores, rate_hz):
     """With a ball of 2 m every object is within reach of the hand from the start, and nothing moves."""
     _, benchmark = evaluator_of("ur5e_2f85")
@@ -802,14 +803,16 @@ def test_what_comes_to_the_hand_wrongly_is_not_received_where_the_benchmark_asks
     """A pose that succeeds with the gripper first ends so, and one with the object first is received; beside a still hand."""
     plain = load_benchmark("r2h-v2")
     config = EvalConfig(execute=ExecConfig(sim="none"))
-    before = Evaluator(plain, config)
+    before = kinematic_evaluator("r2h-v2")
     trials = plain.trials(120)
     asked = random_method.predict(trials, before.scene)
-    scores = before.score(asked.T_obj_ee, asked.T_world_ee, trials)
-    rows = torch.cat([torch.nonzero(scores.success & which)[:3, 0] for which in (scores.presented, ~scores.presented)])
+    at_the_pose = before.score(asked.T_obj_ee, asked.T_world_ee, trials, "pose").success.nonzero()[:, 0]
+    scores = before.score(asked.T_obj_ee[at_the_pose], asked.T_world_ee[at_the_pose], trials[at_the_pose])
+    first = [torch.nonzero(scores.success & which)[:3, 0] for which in (scores.presented, ~scores.presented)]
+    rows = at_the_pose[torch.cat(first)]
     assert len(rows) == 6
     for asks, refused in (((), 0), (("presented",), 3)):
-        evaluator = Evaluator(replace(plain, asks=asks), config)
+        evaluator = Evaluator(replace(plain, asks=asks), config) if asks else before
         some = trials[rows].named(plain.objects)
         found = evaluator.score(asked.T_obj_ee[rows], asked.T_world_ee[rows], some)
         env, e = played(found, "planned", "still")

@@ -1,5 +1,7 @@
 """Which handover an episode plays: by seed, row and number of the episode, and by nothing else."""
 
+from functools import cache
+
 import gymnasium
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ LONG = {"trials": 96, "benchmark": "r2h-v2"}
 """More of it, for a thousand episodes."""
 
 
+@cache
 def vector(num_envs, **more):
+    """A vector that others have played: each begins with a seed of its own, and nothing may be left of what was before."""
     return gymnasium.make_vec(ID, num_envs=num_envs, vectorization_mode="vector_entry_point", **MORE | more)
 
 
@@ -135,7 +139,7 @@ def test_a_trial_ends_the_same_in_gymnasiums_own_vectors(mode, slots, count, mor
 def test_of_a_thousand_episodes_policies_play_the_same_and_a_trial_ends_the_same_in_any_number_of_slots():
     found = []
     for slots in each((1, 8, 64)):
-        envs, count = vector(slots, **LONG), -(-1000 // slots)
+        envs, count = vector.__wrapped__(slots, **LONG), -(-1000 // slots)
         n = len(envs.unwrapped.pool)
         quiet, _ = episodes(envs, stands, count, seed=3)
         played, ends = episodes(envs, waves, count, seed=3)
