@@ -163,5 +163,7 @@ def test_a_receivers_body_counts_along_a_given_motion(planned):
     given = evaluator.score_motion(
         poses.T_obj_ee[rows], own.path, own.path_time_s, trials[rows], length=own.path_len
     )  # fmt: skip
-    assert rows.sum() >= 4 and torch.equal(given.outcome, own.outcome)
-    assert torch.equal(given.margin[:, PLAN], own.margin[:, PLAN]) and torch.equal(given.body_m, own.body_m)
+    assert rows.sum() >= 4, "too few paths to compare"
+    assert torch.equal(given.outcome, own.outcome), "a given motion has another outcome than the plan that it is"
+    assert torch.equal(given.margin[:, PLAN], own.margin[:, PLAN]), "a given motion has another margin of Plan"
+    assert torch.equal(given.body_m, own.body_m), "a given motion is at another distance of the person's body"

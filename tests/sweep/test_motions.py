@@ -178,4 +178,5 @@ def test_a_motion_with_a_number_that_is_none_is_one_invalid_row(planned):
     outcome = dict(zip(*(run.trials("my planner")[c].to_pylist() for c in ("trial_id", "outcome")), strict=True))
     whole = judged(folder, folder / "motions.npz", "given").trials("my planner").to_pylist()
     expected = {r["trial_id"]: r["outcome"] for r in whole} | {int(data["trial_id"][row]): "invalid_input"}
-    assert outcome == expected and reevaluate(run, "my planner", 100, Judge(run)).differences == ()
+    assert outcome == expected, "a number that is none in one motion changed other rows, or left its own as it was"
+    assert reevaluate(run, "my planner", 100, Judge(run)).differences == (), "its rows are others when judged again"

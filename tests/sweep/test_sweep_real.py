@@ -14,7 +14,7 @@ from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.types import Predictions
 
 
-def test_random_and_oracle_over_both_splits_on_a_plain_terminal(tmp_path):
+def test_a_sweep_on_a_plain_terminal_prints_ascii_and_stores_every_row_with_its_pose_and_path(tmp_path):
     line = [
         "--benchmark",
         "r2h-v1",

@@ -71,7 +71,8 @@ def test_trials_are_paired_by_their_ids(paper_rows, filled, tmp_path, capsys):
     assert f"{real.rank_violation(sim, hits):.1f} points" in text
 
 
-def test_the_rank_violation_is_simplers():
+def test_the_rank_violation_is_the_mean_of_the_widest_gaps_that_simulation_puts_in_another_order():
+    """As of SIMPLER."""
     random = np.random.default_rng(0)
     for _ in each(range(20)):
         s, r = random.integers(0, 101, (2, 5)).astype(float)
@@ -134,10 +135,11 @@ def test_a_benchmark_that_begins_on_the_table_has_its_own_criteria(paper_rows, j
         (lambda rows: [(*rows[0][:2], "failure", "luck", "")], "failed_criterion luck; allowed are stability"),
     ],
 )
-def test_a_wrong_table_gets_one_line(paper_rows, filled, tmp_path, capsys, change, words):
+def test_a_wrong_table_of_real_trials_is_refused_in_one_line(paper_rows, filled, tmp_path, capsys, change, words):
     file = write(tmp_path / "t.csv", change(filled[0]))
     assert main(["study", "real", str(paper_rows.folder), str(file)]) == 2
-    assert words in capsys.readouterr().err
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1, error
 
 
 def test_ids_and_a_count_of_trials_do_not_go_together(paper_rows, filled, tmp_path, capsys):
