@@ -28,7 +28,7 @@ LINE = [
     "--method",
     "learned",
     "--trials",
-    "4",
+    "3",
     "--execute.sim",
     "none",
 ]
@@ -36,11 +36,11 @@ LINE = [
 
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory):
-    """The same method in one shard, and in shards of five with other chunks and threads; and one that was told the truth."""
+    """The same method in one shard, and in shards of four with other chunks and threads; and one that was told the truth."""
     folder = tmp_path_factory.mktemp("believed")
     for name, more in (
         ("one", ["--sees", "cell-v1"]),
-        ("five", ["--sees", "cell-v1", "--shard-trials", "5", "--chunk", "3", "--threads", "2"]),
+        ("five", ["--sees", "cell-v1", "--shard-trials", "4", "--chunk", "3", "--threads", "2"]),
         ("truth", []),
     ):
         done = in_process(*LINE, *more, "--out", folder / name)
@@ -64,11 +64,11 @@ def rows(folder):
 
 def test_rows_are_the_same_in_shards_chunks_threads_and_when_a_run_goes_on(runs):
     a, b = (rows(runs / name) for name in ("one", "five"))
-    assert len(a) == 8 and str(a) == str(b)
+    assert len(a) == 6 and str(a) == str(b)
     lost = next((runs / "five" / "shards").rglob("*.parquet"))
     lost.unlink()
     assert load_run(runs / "five").unfinished
-    line = [*LINE, "--sees", "cell-v1", "--shard-trials", "5", "--threads", "1", "--out", runs / "five"]
+    line = [*LINE, "--sees", "cell-v1", "--shard-trials", "4", "--threads", "1", "--out", runs / "five"]
     assert in_process(*line).returncode == 0
     assert not load_run(runs / "five").unfinished and str(rows(runs / "five")) == str(a)
 
@@ -85,10 +85,10 @@ def test_a_run_says_that_its_arms_were_planned_by_what_was_seen(runs):
 
 
 def test_every_row_is_judged_again_bit_for_bit_and_its_method_asked_again(runs, capsys):
-    assert main(["results", "reevaluate", str(runs / "one"), "--rows", "8"]) == 0
+    assert main(["results", "reevaluate", str(runs / "one"), "--rows", "6"]) == 0
     assert (
-        "8 of 8 rows judged again" in (out := capsys.readouterr().out)
-        and "none differs, 8 are equal bit for bit" in out
+        "6 of 6 rows judged again" in (out := capsys.readouterr().out)
+        and "none differs, 6 are equal bit for bit" in out
     )
     assert "asked again for the same trials" in out
 
