@@ -46,7 +46,7 @@ def test_jaws_close_to_the_extent_of_what_is_between_them():
     assert seen > 15
 
 
-@pytest.mark.parametrize("robot", [JAWS, TABLE], ids=lambda r: r.name)
+@pytest.mark.parametrize("robot", [JAWS, pytest.param(TABLE, marks=pytest.mark.slow)], ids=lambda r: r.name)
 def test_the_whole_scene_with_jaws_moves_as_the_arm_alone_and_the_engines_agree(robot):
     """Jaws that give way by micrometres are all that is new, as of the 2F-85."""
     scene = Evaluator(load_benchmark("r2h-v1").on(robot)).scene

@@ -90,7 +90,13 @@ def test_verdicts_on_postures_agree_with_mujoco_c(scene, trials, per_trial, leas
 
 @pytest.mark.parametrize(
     "robot",
-    [*map(load_robot, ("ur3e_2f85", "ur10e_2f85", "panda_hand")), seven_joints(), with_hulls(load_robot())],
+    [
+        load_robot("ur3e_2f85"),
+        pytest.param(load_robot("ur10e_2f85"), marks=pytest.mark.slow),
+        load_robot("panda_hand"),
+        pytest.param(seven_joints(), marks=pytest.mark.slow),
+        with_hulls(load_robot()),
+    ],
     ids=lambda r: r.name,
 )
 def test_verdicts_on_postures_of_other_arms_agree_with_mujoco_c(robot):

@@ -155,7 +155,7 @@ def with_boxes():
     return replace(benchmark, objects=tuple(objects))
 
 
-@pytest.mark.parametrize("region", ["hidden", "told"])
+@pytest.mark.parametrize("region", [pytest.param("hidden", marks=pytest.mark.slow), "told"])
 def test_other_meshes_behind_the_same_images_move_no_bit_of_the_answers(region, monkeypatch):
     scene, trials, T = cell()
     seen, rows = view(region=region), torch.tensor([4])
@@ -301,7 +301,7 @@ def test_a_region_that_is_nowhere_or_everywhere_is_none():
             assert torch.equal(a, b)
 
 
-@pytest.mark.parametrize("region", ["hidden", "told"])
+@pytest.mark.parametrize("region", [pytest.param("hidden", marks=pytest.mark.slow), "told"])
 def test_answers_have_the_same_bits_alone_and_in_any_order(region):
     method = asked(fc)
     seen = view(region=region)

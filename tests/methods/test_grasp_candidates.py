@@ -83,7 +83,13 @@ def test_there_are_100_of_every_object_and_the_report_belongs_to_them() -> None:
 
 
 @needs("rtree")
-@pytest.mark.parametrize(("name", "robot"), [*((n, ROBOT) for n in MODELS), ("hammer", PANDA), ("wineglass", PANDA)])
+@pytest.mark.parametrize(
+    ("name", "robot"),
+    [
+        *(pytest.param(n, ROBOT, marks=[pytest.mark.slow] * (k % 3 > 0)) for k, n in enumerate(MODELS)),
+        *(("hammer", PANDA), ("wineglass", PANDA)),
+    ],
+)
 def test_a_grasp_is_narrow_centred_clear_and_within_the_friction_cone(name: str, robot: Robot) -> None:
     """The Panda's hand is tried with its own shapes: some of the 2F-85's are wider than its 80 mm, its pads are half as
     long."""
@@ -118,7 +124,13 @@ def _contact(mesh: trimesh.Trimesh, gap: float, width: float, robot: Robot) -> t
     return least, float(np.mean(cosines))
 
 
-@pytest.mark.parametrize("name", [n for n, model in MODELS.items() if model.split == "S1"][::2])
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=[pytest.mark.slow] * (k % 3 > 0))
+        for k, n in enumerate([n for n, model in MODELS.items() if model.split == "S1"][::2])
+    ],
+)
 def test_at_least_25_keep_the_fingers_off_the_receivers_region(name: str) -> None:
     model, stored, passed = MODELS[name], _stored(), 0
     for T_obj_ee, width in zip(stored[f"{name}/T_obj_ee"], stored[f"{name}/width"], strict=True):

@@ -79,7 +79,11 @@ def test_what_was_called_presented_is_told_apart_and_never_mixed(tmp_path, capsy
     assert "| Presented, before 0.4 |" in said and "| Presented |" not in said
 
 
-@pytest.mark.parametrize("run", RUNS, indirect=True)
+AGAIN = [pytest.param(name, marks=[pytest.mark.slow] * (name in ("simulated", "quarantine"))) for name in RUNS]
+"""Runs whose rows are judged again; two of them as another one is."""
+
+
+@pytest.mark.parametrize("run", AGAIN, indirect=True)
 def test_nothing_is_set_aside_and_rows_are_judged_again(run, capsys):
     before = sorted(p.relative_to(run) for p in run.rglob("*"))
     assert main(["results", "verify", str(run)]) == 0, capsys.readouterr()

@@ -64,7 +64,9 @@ def test_listed_trials_may_have_bodies_and_people_and_are_judged_as_the_protocol
     assert a.outcome.equal(b.outcome) and a.margin.nan_to_num().equal(b.margin.nan_to_num())
 
 
-@pytest.mark.parametrize("ending", [".npz", ".json", ".parquet", ".csv"])
+@pytest.mark.parametrize(
+    "ending", [".npz", *(pytest.param(e, marks=pytest.mark.slow) for e in (".json", ".parquet")), ".csv"]
+)
 def test_bodies_in_another_frame_and_other_units_are_the_same_once_they_say_so(tmp_path, ending):
     columns, _ = with_bodies(2)
     del columns["shape"], columns["side"], columns["pose"]

@@ -21,8 +21,16 @@ from r2h_batch.scene.robot import forward_kinematics
 from r2h_batch.types import Outcome
 
 
-@pytest.mark.parametrize("config", [BRIEF, BRIEF_WARP], ids=["mujoco", "mjwarp"])
-@pytest.mark.parametrize("where", ["start", "goal"])
+@pytest.mark.parametrize(
+    ("where", "config"),
+    [
+        ("start", BRIEF),
+        ("goal", BRIEF),
+        pytest.param("start", BRIEF_WARP, marks=pytest.mark.slow),
+        ("goal", BRIEF_WARP),
+    ],
+    ids=["start-mujoco", "goal-mujoco", "start-mjwarp", "goal-mjwarp"],
+)
 def test_a_world_with_nan_is_not_valid_and_its_neighbours_are_bitwise_unchanged(config, where):
     p, whole = problems(), reference_run(config)
     row = int(torch.nonzero(p.plan.length == 2).flatten()[1])

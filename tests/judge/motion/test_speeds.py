@@ -83,7 +83,9 @@ def test_mujoco_keeps_a_panda_on_its_planned_motion():
 
 
 @pytest.mark.parametrize("model", ["arm", pytest.param("scene", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name", ROBOTS[1:])
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "ur10e_2f85")) for name in ROBOTS[1:]]
+)
 def test_engines_agree_on_every_built_in_robot(name, model):
     """As the UR5e's (test_motion.py): MuJoCo C and MuJoCo-Warp step by step, and the plan in verdicts."""
     benchmark, found = load_benchmark("r2h-v1").on(load_robot(name)), {}
