@@ -33,6 +33,10 @@ GRACE_S = 2.0
 """So long a process that is done waits for threads that strangers left."""
 
 
+MOST_PRINTED = 10_000
+"""Characters of what one block printed that people are told."""
+
+
 class Ended(SystemExit):
     """Raised in the place of what would have ended this process, or replaced it, without a word."""
 
@@ -84,6 +88,11 @@ def _mask() -> int:
     return found
 
 
+def _to_logging(root: tuple[int, list[logging.Handler]]) -> None:
+    logging.root.setLevel(root[0])
+    logging.root.handlers[:] = root[1]
+
+
 _PYTHON = (
     _Setting("working directory", _folder, _to_folder),
     _Setting("file mode mask", _mask, os.umask),
@@ -94,6 +103,7 @@ _PYTHON = (
     _Setting("sys.setprofile", sys.getprofile, sys.setprofile),
     _Setting("garbage collection", gc.isenabled, lambda on: gc.enable() if on else gc.disable()),
     _Setting("logging.disable", lambda: logging.root.manager.disable, logging.disable),
+    _Setting("logging", lambda: (logging.root.level, logging.root.handlers[:]), _to_logging),
     _Setting("locale", lambda: locale.setlocale(locale.LC_ALL), partial(locale.setlocale, locale.LC_ALL)),
 )  # fmt: skip
 
@@ -511,9 +521,16 @@ class stranger:
 
     def _say(self) -> None:
         if not self._printed.closed and (text := self._printed.getvalue().rstrip()):
-            say(f"{self.name} printed: {text}")
+            say(f"{self.name} printed: {_shortened(text)}")
         for what in sorted(self._told):
             say(f"{self.name} {what}")
+
+
+def _shortened(text: str) -> str:
+    """The first and the last half of what is passed on of a text."""
+    half = MOST_PRINTED // 2
+    left = len(text) - 2 * half
+    return text if left <= 0 else f"{text[:half]}\n[{left} characters left out]\n{text[-half:]}"
 
 
 def _read(library: str) -> tuple[Any, ...]:

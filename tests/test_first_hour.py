@@ -3,9 +3,11 @@
 import dataclasses
 import os
 import re
+import signal
 import subprocess
 import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -94,6 +96,20 @@ def test_a_thread_that_is_not_the_main_one_sweeps_without_signals():
     thread.start()
     thread.join()
     assert heard == [False]
+
+
+def test_a_child_that_a_method_forks_ends_of_a_signal():
+    """multiprocessing.Pool ends its processes so, and waits for them: with the sweep's handler it waited for ever."""
+    lives, says = os.pipe()
+    with stop_signals() as stopping:
+        if not (child := os.fork()):
+            os.write(says, b"1")
+            for _ in range(100):
+                time.sleep(0.05)
+            os._exit(0)
+        os.read(lives, 1)  # Python forgets signals that come while it forks
+        os.kill(child, signal.SIGTERM)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == -signal.SIGTERM and not stopping()
 
 
 def test_the_sweeps_table_has_a_column_where_rows_could_not_be_judged(tmp_path):

@@ -32,6 +32,10 @@ def nothing(*_, **__):
 
 
 CHANGES = {
+    "logging": (
+        lambda: logging.basicConfig(level=5, force=True),
+        lambda: (logging.root.level, [type(h).__name__ for h in logging.root.handlers]),
+    ),
     "default device": (lambda: torch.set_default_device("meta"), lambda: torch.empty(0).device),
     "default dtype": (lambda: torch.set_default_dtype(torch.float64), torch.get_default_dtype),
     "gradients": (lambda: torch.set_grad_enabled(False), torch.is_grad_enabled),
@@ -122,6 +126,15 @@ def test_it_cannot_end_this_process_and_a_child_of_its_own_may_end():
     for words, end in each(ends.items()):
         with pytest.raises(Ended, match=words.replace("(", r"\(").replace(")", r"\)")), stranger("theirs"):
             end()
+
+
+def test_of_a_flood_the_first_and_the_last_is_told(capsys):
+    with stranger("theirs"):
+        for k in range(100_000):
+            print("line", k)
+    said = capsys.readouterr().err
+    assert len(said) < 1.1 * strangers.MOST_PRINTED and "characters left out]" in said
+    assert said.startswith("theirs printed: line 0\nline 1\n") and said.endswith("line 99999\n")
 
 
 def test_it_closes_its_own_files_and_no_others(tmp_path, capsys):

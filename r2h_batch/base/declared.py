@@ -110,6 +110,15 @@ class Declared:
                 raise FileError(
                     f"{self.where}: {name} has 7 numbers a row; declare quaternion_order: wxyz or xyzw"
                 )
+            ahead, behind = (
+                np.abs((value[:, k : k + 4].astype(np.float64) ** 2).sum(1) - 1) < UNIT
+                for k in (0, 3)
+            )
+            if ahead.any() and not (behind | ~ahead).any():
+                raise FileError(
+                    f"{self.where}: the first four of the 7 numbers of {name} are a quaternion, the last four are none; write x,"
+                    " y, z first"
+                )
             value = _matrices(value, QUATERNION_ORDERS[self.quaternion_order])
         elif self.quaternion_order:
             shape = " x ".join(map(str, value.shape))
@@ -181,9 +190,7 @@ class Declared:
         """Refuse a declared unit of time with which the motions, now in seconds, last as none does."""
         if not self.time_unit or not (length > 0).any():
             return
-        last = (np.cumsum(length) - 1)[length > 0]
-        first = (np.cumsum(length) - length)[length > 0]
-        found = float(np.median(time_s[last] - time_s[first]))
+        found = _median_s(time_s, length)
         raw = found * TIME_UNITS[self.time_unit]
         fitting = _other(raw, self.time_unit, TIME_UNITS, LASTS_S, USUAL_S)
         if fitting:
@@ -191,6 +198,24 @@ class Declared:
                 f"{self.where}: time_unit is {self.time_unit}, and the median motion then lasts {found:.3g} s; with {fitting}"
                 f" it lasts {raw / TIME_UNITS[fitting]:.3g} s: declare the unit in which the numbers are"
             )
+
+    def other_time_unit(self, time_s: Array, length: Array) -> str:
+        """The unit in which motions would last as motions do, where none is declared and in seconds they do not; else empty.
+
+        Args:
+            time_s: (S,) of all samples.
+            length: (N,) samples of each motion.
+        """
+        if self.time_unit or not (length > 0).any():
+            return ""
+        return _other(_median_s(time_s, length), "s", TIME_UNITS, LASTS_S, USUAL_S)
+
+
+def _median_s(time_s: Array, length: Array) -> float:
+    """How long the median motion lasts, of the times of all samples."""
+    last = (np.cumsum(length) - 1)[length > 0]
+    first = (np.cumsum(length) - length)[length > 0]
+    return float(np.median(time_s[last] - time_s[first]))
 
 
 def taken(arrays: dict[str, Any], where: str, allowed: Sequence[str] = DECLARED) -> Declared:

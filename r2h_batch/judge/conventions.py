@@ -34,6 +34,9 @@ AT_HAND_M = 0.06
 """A TCP that is nearer to the palm point or to the origin of the hand's frame lies in the hand; estimated hands are off by
 up to 5 cm. [choice]"""
 
+AWAY_M, MOST_MOVE_M = 0.3, 5.0
+"""Gripper poses that lie so far from the balls before the palms, by the median, may be given from another origin. [choice]"""
+
 TURNED_RAD = 4 * math.pi
 """An angle beyond two turns is in no robot's limits. [choice]"""
 
@@ -108,6 +111,9 @@ def other_poses(
             words += f", as a UR's pendant has it {FRAME_BASE}"
         turned = _turn("z", degrees).to(T_world_ee).expand_as(T_world_ee)
         found[words] = (T_obj_ee, se3.matmul(turned, T_world_ee))
+    words = "T_world_ee turned by 90 degrees about x: the world's z points up, not its y"
+    upright = _turn("x", 90).to(T_world_ee).expand_as(T_world_ee)
+    found[words] = (T_obj_ee, se3.matmul(upright, T_world_ee))
     for read, turn in (
         ("x read as z", ("y", 90)),
         ("-z read as z", ("x", 180)),
@@ -239,12 +245,26 @@ def pose_hint(
         there = se3.inverse(resting(trials[rows]).to(given[0]))
         words = "T_obj_ee taken from the world into the object's frame: inverse(T_world_obj) times the grasp on the table"
         others[words] = (se3.matmul(there, given[0]), given[1])
+    others |= _moved(*given, trials[rows], scene)
     for words, taken in other_rows(trials.trial_id).items():
         others[words] = (T_obj_ee[taken[rows]], T_world_ee[taken[rows]])
     grasps, handovers = zip(given, *others.values(), strict=True)
     times = torch.arange(len(rows), dtype=torch.int64, device=rows.device).repeat(1 + len(others))
     found = judge(torch.cat(grasps), torch.cat(handovers), trials[rows][times])
     return _best(scores, found, tuple(others), len(rows))
+
+
+def _moved(T_obj_ee: Tensor, T_world_ee: Tensor, trials: Trials, scene: Scene) -> dict[str, Poses]:
+    """The handover poses brought to the hands by one move of the world's origin, where all lie far from them; else nothing."""
+    center = scene.palm(trials.hand_index, trials.T_world_hand)[2].to(T_world_ee)
+    move = (center - T_world_ee[:, :3, 3]).median(0).values
+    if not AWAY_M < float(move.norm()) < MOST_MOVE_M:
+        return {}
+    moved = T_world_ee.clone()
+    moved[:, :3, 3] += move
+    x, y, z = (round(v, 1) + 0.0 for v in move.tolist())
+    words = f"T_world_ee moved by about ({x:g}, {y:g}, {z:g}) m: the world's origin is at the robot's base"
+    return {words: (T_obj_ee, moved)}
 
 
 def _in_the_hand(scores: Scores, T_world_ee: Tensor, trials: Trials, scene: Scene) -> str | None:
@@ -331,7 +351,7 @@ def _unit_of_time(median: float) -> tuple[str, float, str] | None:
 
 
 def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
-    """One line where most motions fail, none begins at home, and all do with the joints in another order."""
+    """One line where most motions fail, none begins at home, and all end there, or do with the joints in another order."""
     if len(q) < ROWS or 2 * int(scores.success.sum()) > len(q):
         return None
     names, home = robot.joints, torch.tensor(robot.home_q, dtype=torch.float64, device="cpu")
@@ -342,6 +362,8 @@ def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
     sorted_alike[near.argsort()] = home.argsort()
     if (first - home).abs().amax(1).min() < AT_HOME_RAD:
         return None
+    if (q[:, -1].double().cpu() - home).abs().amax(1).max() < AT_HOME_RAD:
+        return f"all {len(q)} motions end at home, and none begins there: a motion leads from home to the handover"
     for order in (alphabetical, sorted_alike.tolist()):  # column k holds joint order[k]
         if (first - home[order]).abs().amax(1).max() < AT_HOME_RAD:
             read = ", ".join(names[k] for k in order)

@@ -60,13 +60,19 @@ def _main(arguments: Sequence[str], prog: str) -> int:
 @contextmanager
 def stop_signals() -> Iterator[Callable[[], bool]]:
     """Whether Ctrl-C or SIGTERM was heard: the first one asks to stop after the current chunk, the
-    second stops. Signals are the main thread's: in another one whoever has it hears them."""
+    second stops. Signals are the main thread's: in another one whoever has it hears them. A child that a method forks ends of
+    them: a pool of processes ends its own so, and waits."""
     heard: list[int] = []
+    me = os.getpid()
     if threading.current_thread() is not threading.main_thread():
         yield lambda: False
         return
 
     def hear(number: int, _: object) -> None:
+        if os.getpid() != me:
+            signal.signal(number, before[signal.Signals(number)])
+            os.kill(os.getpid(), number)
+            return
         heard.append(number)
         if len(heard) > 1:
             raise KeyboardInterrupt

@@ -31,7 +31,7 @@ from r2h_batch.base.declared import (
     unit_of,
 )
 from r2h_batch.base.errors import FileError, nearest
-from r2h_batch.base.io.arrays import Spec, check_array, check_arrays, not_rigid
+from r2h_batch.base.io.arrays import RIGID, Spec, check_array, check_arrays, not_rigid
 from r2h_batch.base.io.read import open_file, printable, read_npz
 from r2h_batch.base.io.tables import MAX_CSV_BYTES, read_csv_arrays, read_json_arrays
 from r2h_batch.base.io.write import write_npz
@@ -272,9 +272,11 @@ def _motions(arrays: dict[str, Any], shown: str, declared: Declared) -> Motions:
     time_s = _samples("time_s", time_s, (len(q),), "length", shown)
     if time_s.dtype.itemsize == 4 and len(time_s) and np.nanmax(np.abs(time_s)) > COARSE_S:
         step = float(np.spacing(np.float32(np.nanmax(np.abs(time_s)))))
+        how = "write float64, or times from the motion's start"
+        if unit := declared.other_time_unit(time_s, length):
+            how = f"as {unit} they are those of motions: {declaration('time_unit', unit)}"
         raise FileError(
-            f"{shown}: time_s is float32 and goes to {np.nanmax(np.abs(time_s)):.3g} s, where its steps are {step:.2g} s: write"
-            " float64, or times from the motion's start"
+            f"{shown}: time_s is float32 and goes to {np.nanmax(np.abs(time_s)):.3g} s, where its steps are {step:.2g} s: {how}"
         )
     declared.check_times(time_s, length)
     first = np.repeat((np.cumsum(length) - length)[length > 0], length[length > 0])
@@ -573,6 +575,8 @@ def align(
     ids, first, copies = np.unique(answered, return_index=True, return_counts=True)
     _refuse(source, "given more than once", ids[copies > 1], "give one row for each trial")
     unknown = "give only planned trials, or plan more of them (--splits, --trials)"
+    if len(ids) > 1 and np.array_equal(ids - 1, np.sort(planned)):
+        unknown = "each is the id of a planned trial plus 1: ids begin at 0"
     _refuse(source, "not in the plan", np.setdiff1d(ids, planned), unknown)
     if len(ids) == 0:
         return torch.full((len(planned),), -1, dtype=torch.int64, device="cpu")
@@ -584,14 +588,20 @@ def align(
     return torch.from_numpy(np.where(found, first[at], -1).astype(np.int64))
 
 
-LOOKS_RIGID, FAR_M, OBJECT_M = 1e-2, 10.0, 0.35
+LOOKS_RIGID, LAST_ROW, FAR_M, OBJECT_M = 1e-2, 1e-6, 10.0, 0.35
 _PIECE = 65_536  # rows looked at together, which bounds the memory
 
 
 def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str]:
-    """Warnings about the poses, one line each: how many are not rigid, are far away as in other
-    units, or look as if grasp and handover were exchanged."""
+    """Warnings about the answers, one line each: how many poses are not rigid, are far away as in other
+    units, are the grasp once more, or look as if grasp and handover were exchanged; how many motions hold no numbers."""
     lines = []
+    if motions is not None and (holes := _holes(motions)).any():
+        first = int(predictions.trial_id[int(holes.int().argmax())])
+        lines.append(
+            f"{int(holes.sum())} of {len(predictions)} motions (the first of trial {first}) hold NaN or infinity and count as"
+            " invalid"
+        )
     posed = predictions if motions is None else predictions[motions.length == 0]
     named = (("T_obj_ee", "grasps", predictions), ("T_world_ee", "handover poses", posed))
     for name, what, given in named:
@@ -618,6 +628,12 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
                 first = int(given.trial_id[int(odd.argmax())])
                 where = f"({name}; the first of trial {first})"
                 lines.append(f"{int(odd.sum())} of {n} {what} {where} {words}")
+    same = (posed.T_obj_ee - posed.T_world_ee).abs().amax((1, 2)) < RIGID
+    if 2 * int(same.sum()) > len(posed):
+        lines.append(
+            f"{int(same.sum())} of {len(posed)} handover poses (T_world_ee) equal the grasps (T_obj_ee): T_world_ee is the"
+            " gripper's pose in the world, not in the object's frame"
+        )
     grasp, handover = (
         np.linalg.norm(T[:, :3, 3].numpy(), axis=1) for T in (posed.T_obj_ee, posed.T_world_ee)
     )
@@ -628,6 +644,14 @@ def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str
             " handover poses (T_world_ee) nearer to the robot's base: exchanged?"
         )
     return lines
+
+
+def _holes(motions: Motions) -> Tensor:
+    """(n,) whether a sample or time of each motion is no finite number."""
+    odd = ~(motions.q.isfinite().all(1) & motions.time_s.isfinite())
+    of = torch.repeat_interleave(motions.length)
+    found = torch.zeros(len(motions.length), dtype=torch.int64, device="cpu")
+    return found.index_add_(0, of, odd.long()) > 0
 
 
 FAULTS = (
@@ -644,12 +668,16 @@ FAULTS = (
 
 
 def faults(T: np.ndarray) -> np.ndarray:
-    """(n,) what is wrong with each of the poses (n, 4, 4), as a number of `FAULTS`; 0: it is rigid.
+    """(n,) what is wrong with each of the poses (n, 4, 4), as a number of `FAULTS`; 0: it is judged (`se3.is_pose`).
 
     Args:
         T: the poses, m.
     """
-    off = not_rigid(T, LOOKS_RIGID)
+    close = np.array(T, np.float32)
+    close[:, :3, 3] = np.nan_to_num(close[:, :3, 3]).clip(
+        -1.0, 1.0
+    )  # how far away is another question
+    off = ~(np.isfinite(T).all((1, 2)) & se3.is_pose(torch.from_numpy(close)).numpy())
     found = np.zeros(len(T), np.int8)
     if not off.any():
         return found
@@ -657,17 +685,16 @@ def faults(T: np.ndarray) -> np.ndarray:
         bad = T[off].astype(np.float64)
         R = bad[:, :3, :3]
         length = np.linalg.norm(R, axis=1)
-        alike = np.abs(length - length[:, :1]).max(1) < LOOKS_RIGID * length[:, 0]
         unit = R / length[:, :1, None]
-        square = np.abs(unit @ unit.transpose(0, 2, 1) - np.eye(3)).max((1, 2)) < LOOKS_RIGID
+        askew = np.abs(unit @ unit.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
         found[off] = np.select(
             [
                 ~np.isfinite(bad).all((1, 2)),
-                ~not_rigid(bad.transpose(0, 2, 1), LOOKS_RIGID) | _moved_down(bad),
-                np.abs(bad[:, 3] - [0, 0, 0, 1]).max(1) >= LOOKS_RIGID,
+                ~not_rigid(bad.transpose(0, 2, 1)) | _moved_down(bad),
+                np.abs(bad[:, 3] - [0, 0, 0, 1]).max(1) > LAST_ROW,
                 (length < LOOKS_RIGID).all(1),
-                square & (np.linalg.det(R) < 0),
-                square & alike,
+                (askew < LOOKS_RIGID) & (np.linalg.det(R) < 0),
+                askew < RIGID,
             ],
             [1, 2, 3, 4, 5, 6],
             7,

@@ -96,6 +96,7 @@ WRITTEN = {
     "T_world_ee times T_obj_ee": lambda a, b, hand: (a, b @ inverted(a)),
     "turned by 180 degrees": lambda a, b, hand: (a, HALF @ b),
     "turned by 90 degrees": lambda a, b, hand: (a, turn("z", -90) @ b),
+    "turned by 90 degrees about x": lambda a, b, hand: (a, turn("x", -90) @ b),
     "turned by -90 degrees": lambda a, b, hand: (a, turn("z", 90) @ b),
     "from the hand's frame": lambda a, b, hand: (a, inverted(hand) @ b),
     "T_world_ee times T_flange_ee": lambda a, b, hand: (a, b @ FLANGE),
@@ -146,7 +147,7 @@ def test_the_first_call_names_the_convention_in_which_poses_pass(solved, fresh, 
 def test_right_poses_and_poses_that_no_convention_mends_get_no_hint(solved, fresh):
     trials, poses, _ = solved
     nowhere = poses[1].clone()
-    nowhere[:, 2, 3] = 3.0  # above the robot's reach in every frame
+    nowhere[:, 2, 3] = torch.linspace(3, 9, len(nowhere))  # above the robot's reach in every frame
     with warnings.catch_warnings(record=True) as said:
         warnings.simplefilter("always")
         for T_world_ee in (poses[1], nowhere):
@@ -154,6 +155,16 @@ def test_right_poses_and_poses_that_no_convention_mends_get_no_hint(solved, fres
         few = slice(0, 7)
         fresh().score(inverted(poses[0])[few], poses[1][few], trials[few])
     assert [str(w.message) for w in said] == []
+
+
+def test_poses_from_another_origin_are_told_by_how_much(solved, fresh):
+    trials, (T_obj_ee, T_world_ee), _ = solved
+    from_the_floor = T_world_ee.clone()
+    from_the_floor[:, 2, 3] += 0.75
+    with pytest.warns(
+        UserWarning, match=r"pass with T_world_ee moved by about \(-?0(.1)?, -?0(.1)?, -0.[678]\) m: the world's"
+    ):
+        fresh().score(T_obj_ee, from_the_floor, trials)
 
 
 def test_a_hint_changes_no_verdict(solved, fresh):
@@ -361,3 +372,11 @@ def test_joints_in_the_order_of_the_alphabet_are_told_where_the_motion_then_begi
         fresh().score_motion(poses[0], scores.path[..., order], scores.path_time_s, trials, length=scores.path_len)
     with pytest.warns(UserWarning, match=r"begin at home with q read in the order wrist_3_joint, "):
         fresh().score_motion(poses[0], scores.path.flip(2), scores.path_time_s, trials, length=scores.path_len)
+
+
+def test_motions_that_end_at_home_are_told(solved, fresh):
+    trials, poses, scores = solved
+    last = scores.path_len.long()[:, None]
+    back = (last - 1 - torch.arange(scores.path.shape[1])).clamp(min=0)[..., None].expand_as(scores.path)
+    with pytest.warns(UserWarning, match="motions end at home, and none begins there"):
+        fresh().score_motion(poses[0], scores.path.gather(1, back), scores.path_time_s, trials, length=scores.path_len)

@@ -204,6 +204,14 @@ def test_seven_numbers_need_their_order(tmp_path):
     refused(tmp_path / "p.parquet", "7 numbers in row 0", "or 7 and a column quaternion_order")
 
 
+def test_a_quaternion_before_the_position_is_refused(tmp_path):
+    data = in_another(poses(), {"quaternion_order": "wxyz"})
+    data["T_obj_ee"] = np.roll(data["T_obj_ee"], 4, 1)
+    refused(
+        store(tmp_path / "p.npz", data), "the first four of the 7 numbers of T_obj_ee are a quaternion", "x, y, z first"
+    )
+
+
 CONTRADICTED = [
     ({"angle_unit": "deg"}, {}, "angle_unit is deg, and the median motion of q has no angle beyond", "radians?"),
     ({"angle_unit": "rad"}, {"angle_unit": "deg"}, "angle_unit is rad, and the median motion of q turns by", "degrees?"),
@@ -236,6 +244,16 @@ def test_times_of_day_in_float32_are_refused_for_their_steps(tmp_path):
     coarse = answers(4) | {"time_s": (answers(4)["time_s"] + 1.7e9).astype(np.float32)}
     with pytest.raises(
         FileError, match=r"time_s is float32 and goes to 1.7e\+09 s, where its steps are 1.3e\+02 s: write float64"
+    ):
+        load_answers(as_file(tmp_path / "m.npz", coarse))
+
+
+def test_milliseconds_in_float32_are_told_by_their_unit(tmp_path):
+    data = answers(4)
+    longest = 2e7 / data["time_s"].max()
+    coarse = data | {"time_s": (data["time_s"] * longest).astype(np.float32)}
+    with pytest.raises(
+        FileError, match=r"time_s is float32 .* as us they are those of motions: a file may declare time_unit=us"
     ):
         load_answers(as_file(tmp_path / "m.npz", coarse))
 

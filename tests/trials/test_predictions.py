@@ -6,8 +6,9 @@ import torch
 from made_runs import made_trials, make_predictions
 from prediction_files import arrays, refused, store
 
+from r2h_batch.base import se3
 from r2h_batch.base.errors import FileError
-from r2h_batch.trials.predictions import align, doubts, faults, load_predictions, write_predictions
+from r2h_batch.trials.predictions import Motions, align, doubts, faults, load_predictions, write_predictions
 from r2h_batch.types import Predictions
 
 
@@ -91,7 +92,9 @@ def test_poses_in_millimetres_and_transposed_ones_are_said_before_they_are_score
     T = torch.eye(4).repeat(5, 1, 1)
     T[:, :3, 3] = torch.tensor([0.4, 0.1, 0.5])
     ids = torch.tensor([7, 3, 0, 1, 2])
-    assert doubts(Predictions(ids, T, T)) == []
+    grasps = T.clone()
+    grasps[:, 0, 3] = 0.05
+    assert doubts(Predictions(ids, grasps, T)) == []
     T_bad, far = T.clone(), T.clone()
     T_bad[1:, :3, 3], T_bad[1:, 3, :3] = 0.0, T[1:, :3, 3]
     far[2:, :3, 3] *= 1000
@@ -121,3 +124,58 @@ def test_what_is_wrong_with_a_pose_is_told_of_each_kind():
     assert faults(T.numpy()).tolist() == list(range(8))
     (line,) = doubts(Predictions(torch.arange(8), T, torch.eye(4).repeat(8, 1, 1)))
     assert line.startswith("7 of 8 grasps (T_obj_ee; the first of trial 1)") and line.count(";") == 7
+
+
+ODD = {
+    "a translation without numbers": ((0, 3), torch.nan, "hold NaN"),
+    "an infinite one": ((2, 3), torch.inf, "hold NaN"),
+    "a rotation that is off by 0.004": ((0, 0), 1.002, "orthonormalise"),
+    "a last row that is off by 0.001": ((3, 1), 0.001, "last row"),
+}
+"""What the judge does not take: where, the number there, and how it is told."""
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_whatever_counts_as_invalid_is_told_before(name):
+    T = torch.eye(4).repeat(3, 1, 1)
+    T[:, :3, 3] = torch.tensor([0.02, 0.01, 0.1])
+    place, value, words = ODD[name]
+    T[1][place] = value
+    assert se3.is_pose(T).tolist() == [True, False, True] and faults(T.numpy()).astype(bool).tolist() == [
+        False,
+        True,
+        False,
+    ]
+    (line,) = doubts(Predictions(torch.arange(3), T, torch.eye(4).repeat(3, 1, 1)))
+    assert line.startswith("1 of 3 grasps (T_obj_ee; the first of trial 1)") and words in line
+
+
+def test_a_pose_that_is_far_away_is_told_by_its_unit_and_not_as_no_pose():
+    T = torch.eye(4).repeat(3, 1, 1)
+    T[:, 2, 3] = 5e5  # micrometres
+    assert faults(T.numpy()).tolist() == [0, 0, 0]
+    assert "more than 10 m away" in doubts(Predictions(torch.arange(3), torch.eye(4).repeat(3, 1, 1), T))[0]
+
+
+def test_grasps_in_the_place_of_handover_poses_are_told():
+    T = torch.eye(4).repeat(3, 1, 1)
+    T[:, 2, 3] = 0.1
+    (line,) = doubts(Predictions(torch.arange(3), T, T))
+    assert line.startswith("3 of 3 handover poses (T_world_ee) equal the grasps (T_obj_ee): T_world_ee is")
+
+
+def test_motions_without_numbers_are_told():
+    q, time_s = torch.zeros(7, 6), torch.arange(7.0)
+    q[3, 2] = torch.nan
+    T = torch.eye(4).repeat(3, 1, 1)
+    motions = Motions(q, time_s, torch.tensor([3, 0, 4]))
+    W = T.clone()
+    W[:, 0, 3] = 0.5
+    assert doubts(Predictions(torch.tensor([4, 6, 8]), T, W), motions) == [
+        "1 of 3 motions (the first of trial 8) hold NaN or infinity and count as invalid"
+    ]
+
+
+def test_ids_that_begin_at_one_are_told():
+    with pytest.raises(FileError, match="each is the id of a planned trial plus 1: ids begin at 0"):
+        align(predictions_for([1, 2, 3, 4]), torch.tensor([0, 2, 1, 3]), source="my.npz")
