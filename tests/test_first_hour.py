@@ -309,3 +309,21 @@ def test_the_gallery_of_a_run_of_two_folders_draws_each_method_in_its_own(tmp_pa
     line = ["report", "any", "--format", "html", "--gallery", "1", "--out", str(tmp_path / "page.html")]
     assert main(line) == 0 and (tmp_path / "page.html").exists()
     assert drawn == [(("fc",), folders[0], "1"), (("learned",), folders[1], "2")]
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        (("ls", "benchmark", "utf16.yaml"), "is in UTF-16; save it in UTF-8"),
+        (("report", "nothing"), "nothing: no such folder"),
+        (("report", "utf16.yaml"), "is a file; give a run folder"),
+        (("report", "empty"), "no run.json, so it is not a run folder"),
+    ],
+)
+def test_what_a_path_is_is_told(line, words, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("empty").mkdir()
+    Path("utf16.yaml").write_bytes("receiver: body\n".encode("utf-16"))
+    assert main(list(line)) == 2
+    said = capsys.readouterr().err
+    assert words in said and said.count("\n") == 1

@@ -105,7 +105,8 @@ def text_of(error: BaseException) -> str:
 
 
 def raised(error: BaseException) -> str:
-    """The error that a user's code raised, and where, in one line.
+    """The error that a user's code raised, and where, in one line: the last line of a file of the user's own, where there is
+    one, and not that of the library that it called.
 
     Args:
         error: as it was caught.
@@ -114,8 +115,18 @@ def raised(error: BaseException) -> str:
     if isinstance(error, SyntaxError):  # its text says where
         return what
     frames = traceback.extract_tb(error.__traceback__)
-    where = next((f for f in reversed(frames) if f.filename != _GUARD), frames[-1])
+    others = [f for f in frames if f.filename != _GUARD] or list(frames)
+    where = next((f for f in reversed(others) if _is_users(f.filename)), others[-1])
     return f"{what} ({printable(where.filename)}, line {where.lineno})"
+
+
+def _is_users(file: str) -> bool:
+    """Whether a file belongs to no library: not to Python, not to an installed package, not to this one."""
+    path = Path(file)
+    if not path.is_file() or {"site-packages", "dist-packages"} & set(path.parts):
+        return False
+    library = [Path(_GUARD).parent, *(sysconfig.get_path(k) for k in ("stdlib", "platstdlib"))]
+    return not any(map(path.absolute().is_relative_to, library))
 
 
 def chosen(

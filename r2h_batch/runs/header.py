@@ -314,7 +314,9 @@ def read_header(folder: Path) -> dict[str, Any]:
     path = folder / "run.json"
     if not os.path.lexists(path):
         near = f"; did you mean {printable(found)}?" if (found := _near(folder)) else ""
-        raise RunError(f"{printable(folder)}: no run.json, so it is not a run folder{near}")
+        there = "is a file; give a run folder" if os.path.lexists(folder) else "no such folder"
+        what = "no run.json, so it is not a run folder" if folder.is_dir() else there
+        raise RunError(f"{printable(folder)}: {what}{near}")
     data = read_json(path)
     if data.get("format") != FORMAT:
         shown = f"{printable(data.get('format'))!r:.40}"

@@ -71,6 +71,15 @@ def test_code_that_raises_while_it_is_imported_is_refused_in_one_line(
     assert who in error and what in error and error.count("\n") == 1, error
 
 
+@pytest.mark.parametrize("code", ["import numpy as np\nnp.load('none.npy')\n", "import json\njson.loads('{')\n"])
+def test_an_error_in_a_library_is_told_by_the_users_own_line(code, place, capsys):
+    file = place / "uc_calls.py"
+    file.write_text(code)
+    assert sweep.main(["--method", f"{file}:predict", "--trials", "1"]) == 2
+    said = capsys.readouterr().err
+    assert f"({file}, line 2)" in said and "site-packages" not in said
+
+
 def test_two_files_of_one_name_are_two_methods_and_helpers_of_one_name_are_refused(place, capsys):
     line = [
         "--benchmark",

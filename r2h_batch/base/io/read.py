@@ -363,8 +363,7 @@ def read_json(path: Path, *, most: int = MAX_JSON_BYTES) -> Any:
     from pydantic_core import from_json
 
     data, where = read_file(path, most), printable(path)
-    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise FileError(f"{where}: is in UTF-16; save it in UTF-8")
+    _refuse_utf_16(data, where)
     data, collecting = data.removeprefix(b"\xef\xbb\xbf"), gc.isenabled()
     gc.disable()  # what is parsed has no cycles; looking for them takes longer than parsing
     try:
@@ -383,6 +382,11 @@ def read_json(path: Path, *, most: int = MAX_JSON_BYTES) -> Any:
         if collecting:
             gc.enable()
     return found
+
+
+def _refuse_utf_16(data: bytes, where: str) -> None:
+    if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise FileError(f"{where}: is in UTF-16; save it in UTF-8")
 
 
 def _once(pairs: list[tuple[str, Any]]) -> None:
@@ -424,7 +428,9 @@ def read_yaml(
 
     shown = printable(path)
     try:
-        text = read_file(path, most).decode("utf-8")
+        read = read_file(path, most)
+        _refuse_utf_16(read, shown)
+        text = read.decode("utf-8")
         data = _plain_loader(text, deepest).get_single_data()
     except FileError:
         raise
