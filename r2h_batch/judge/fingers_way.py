@@ -1,6 +1,5 @@
 """How far closing fingers come from one opening to another, and how low they are on the way."""
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -11,6 +10,7 @@ from torch import Tensor
 from r2h_batch.base.launch import over_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.grasp.lowest import lowest_points
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.scene import Scene
 
 CELLS = 1024
@@ -43,7 +43,7 @@ class FingersWay(NamedTuple):
         return first + (cell - low) * (last - first)
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def fingers_way(scene: Scene) -> FingersWay:
     """The way of a scene's fingers: from one opening to the next no point goes farther than its middle does and its radius
     times the turn."""
@@ -57,7 +57,7 @@ def fingers_way(scene: Scene) -> FingersWay:
     return FingersWay(step, way.float())
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def fingers_bend(scene: Scene) -> float:
     """No point of closing fingers has a larger second derivative by the opening (1/m)."""
     robot = scene.robot
@@ -70,7 +70,7 @@ def fingers_bend(scene: Scene) -> float:
     return float((moves + gripper_radii(scene) * turns).max()) / step**2
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def gripper_radii(scene: Scene) -> Float64[Tensor, " g"]:
     """No point of a gripper primitive is farther from its middle, m."""
     first = len(scene.tables.arm_order)

@@ -1,6 +1,5 @@
 """Straight ways of the gripper into a grasp and up from it: their waypoints, and the IK branches that follow them."""
 
-from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -12,6 +11,7 @@ from r2h_batch.base.launch import over_trials
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.kernels.plan.codes import BRANCHES
 from r2h_batch.kernels.plan.line import follow_lines
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.scene import Scene
 
 WAY_M = 0.1
@@ -99,7 +99,7 @@ def resampled(path: Float32[Tensor, "*b k j"]) -> Float32[Tensor, "*b w j"]:
     return torch.cat([(first + t * delta).flatten(-3, -2), path[..., -1:, :]], -2)
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def gripper_lever_m(scene: Scene) -> float:
     """No point of the gripper is farther from the ee (m)."""
     T_ee_wrist = np.linalg.inv(scene.T_wrist_ee)

@@ -18,6 +18,7 @@ from r2h_batch.base.launch import launch_trials
 from r2h_batch.judge.grasp import gripper_poses
 from r2h_batch.kernels.methods import box_grasps as kernels
 from r2h_batch.methods.part_roles import GRASP
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.robot import Robot, ShapeKind
 from r2h_batch.scene.scene import Scene
 
@@ -183,7 +184,7 @@ class _Clouds:
     voxel_start: Int32[Tensor, "o s"]
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def _clouds(scene: Scene, voxel_m: float) -> _Clouds:
     """The objects' clouds and which points share a voxel of a grid from half a voxel below the
     cloud's lowest corner."""

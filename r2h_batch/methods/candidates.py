@@ -27,6 +27,7 @@ from r2h_batch.methods.grasps import (
     sample_grasps,
     seat_grasps,
 )
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.objects import (
     ObjectModel,
     load_objects,
@@ -183,7 +184,7 @@ class CandidateTable:
         return self.first[o][:, None] + torch.where(exists, k, 0), exists
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def candidate_table(scene: Scene) -> CandidateTable:
     """The candidates of a scene's objects with the opening that each closes to; made once per
     scene."""

@@ -7,8 +7,6 @@ more). Pose: the object's centre 15 cm above the estimated palm, in the orientat
 estimated hand; whether the arm reaches it is not asked (`gate`).
 """
 
-from functools import lru_cache
-
 import numpy as np
 import torch
 from jaxtyping import Bool, Float32, Int32, UInt8
@@ -44,6 +42,7 @@ from r2h_batch.methods.predictors import (
     predict_target,
 )
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Predictions, Trials
 
@@ -164,7 +163,7 @@ def clustered_else_clear(
     return torch.where(pool.any(1, keepdim=True), pool, exists) & exists
 
 
-@lru_cache(maxsize=8)
+@KeptWith
 def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " m"]:
     """For every row of the candidate table: whether DBSCAN over its object's grasp points puts it
     in a cluster."""
@@ -179,7 +178,7 @@ def in_clusters(scene: Scene, eps_m: float, min_samples: int) -> Bool[Tensor, " 
     return torch.from_numpy(kept).to(scene.device)
 
 
-@lru_cache(maxsize=8)
+@KeptWith
 def points_near_gripper(scene: Scene, radius_m: float) -> UInt8[Tensor, "m p"]:
     """Which points of its object's cloud each candidate's closed gripper is nearer to than
     `radius_m`."""

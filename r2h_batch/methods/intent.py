@@ -10,8 +10,8 @@ opposed to that direction ("axis").
 """
 
 import math
-from collections.abc import Sequence
-from functools import lru_cache
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
 from typing import Literal
 
 import numpy as np
@@ -47,6 +47,8 @@ from r2h_batch.methods.predictors import (
     predict_target,
     retrieve_receiving,
 )
+from r2h_batch.scene.kept import KeptWith
+from r2h_batch.scene.objects import ObjectModel
 from r2h_batch.scene.scene import Scene
 from r2h_batch.trials.holding.instructions import ANYWHERE, intents_of, understand
 from r2h_batch.types import Predictions, Trials
@@ -288,7 +290,7 @@ def affordance_score(
     return opposition(T_obj_ee[..., :3, 2], direction) - se3.dot(apart, apart).sqrt()
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def approach_hits(
     scene: Scene, back_off_m: float = BACK_OFF_M
 ) -> tuple[Int64[Tensor, " m"], Bool[Tensor, " m"], Bool[Tensor, " m"]]:
@@ -326,27 +328,33 @@ def named_parts(
 ) -> Bool[Tensor, "n p"]:
     """The part labels of the region R_o that each trial's instruction names. Where it names the object alone: the
     receiver's region (S1), or none."""
-    index = trials.object_index.cpu().long()
+    index, region = trials.object_index.cpu().long(), _regions(scene)
     if instructions is None:
-        own = [_region(scene, i, o.instruction) for i, o in enumerate(scene.objects)]
+        own = [region(i, o.instruction) for i, o in enumerate(scene.objects)]
         return torch.stack(own)[index]
     pairs = list(zip(index.tolist(), instructions, strict=True))
     # Each sentence is understood once however many trials ask it: (object, sentence) -> row of
     # `regions`
     number = {pair: k for k, pair in enumerate(dict.fromkeys(pairs))}
     regions = torch.stack(
-        [_region(scene, *pair) for pair in number]
-        or [_region(scene, 0, scene.objects[0].instruction)]
+        [region(*pair) for pair in number] or [region(0, scene.objects[0].instruction)]
     )
     return regions[torch.tensor([number[pair] for pair in pairs], dtype=torch.int64, device="cpu")]
 
 
-@lru_cache(maxsize=65536)
-def _region(scene: Scene, object_index: int, instruction: str) -> Bool[Tensor, " p"]:
-    parts = max(len(o.part_names) for o in scene.objects)
+@KeptWith
+def _regions(scene: Scene) -> Callable[[int, str], Bool[Tensor, " p"]]:
+    """`_region` of a scene's objects, each sentence understood once."""
+    return lru_cache(maxsize=65536)(partial(_region, scene.objects))
+
+
+def _region(
+    objects: Sequence[ObjectModel], object_index: int, instruction: str
+) -> Bool[Tensor, " p"]:
+    parts = max(len(o.part_names) for o in objects)
     region = torch.zeros(parts, dtype=torch.bool, device="cpu")
-    understood = understand(instruction, scene.objects, object_index=object_index)
-    model = scene.objects[object_index]
+    understood = understand(instruction, objects, object_index=object_index)
+    model = objects[object_index]
     intent = intents_of(model)[understood.intent]
     if intent.part != ANYWHERE or model.split == "S1":
         region[list(intent.labels)] = True

@@ -29,6 +29,7 @@ from r2h_batch.methods.placing import (
 )
 from r2h_batch.methods.predictors import TargetHand
 from r2h_batch.scene.grasp_tables import gripper_tables
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.scene import Scene
 
@@ -170,7 +171,7 @@ def collision_cost(
     return out
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def hand_sample(scene: Scene, count: int) -> Int64[Tensor, " h"]:
     """Vertices spread over the hand's skin: each the farthest from those before (flat hand), the
     first at the wrist."""
@@ -198,7 +199,7 @@ def gripper_capsule(robot: Robot) -> tuple[float, float, float]:
     return float(points[:, 2].min()) - slack, float(points[:, 2].max()) + slack, radius
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def _boxes(scene: Scene) -> tuple[Any, Any]:
     low, high = (
         np.stack([corner(o.vertices, 0) for o in scene.objects]).astype(np.float32)

@@ -15,6 +15,7 @@ from torch import Tensor
 from r2h_batch.base.launch import launch_trials
 from r2h_batch.kernels.methods import label_icp as kernels
 from r2h_batch.methods.part_roles import FUNCTION, GRASP, WRAP
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.scene import Scene
 
 LABEL_M = 1.0
@@ -145,7 +146,7 @@ def _templates(device: str) -> _Templates:
     )
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def _clouds(scene: Scene) -> tuple[Tensor, Tensor, Tensor]:
     """Points (O, P, 3), largest extent (O,) float64 and mean (O, 3) of the objects' clouds."""
     points = np.stack([o.points for o in scene.objects]).astype(np.float32)

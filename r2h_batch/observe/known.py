@@ -1,12 +1,13 @@
 """Moments of trials that were asked for before, or that somebody told: drawing one costs more than judging its trial."""
 
-from functools import lru_cache
+import weakref
 
 import torch
 from jaxtyping import Float32
 from torch import Tensor
 
 from r2h_batch.observe.moment import moments
+from r2h_batch.scene.kept import KeptWith
 from r2h_batch.scene.scene import Scene
 from r2h_batch.types import Trials
 
@@ -22,7 +23,7 @@ class KnownMoments:
     """
 
     def __init__(self, scene: Scene) -> None:
-        self._scene = scene
+        self._scene = weakref.ref(scene)  # with which it is kept
         self._known: dict[bytes, Tensor] = {}
         self._told: dict[bytes, Tensor] = {}
 
@@ -55,11 +56,16 @@ class KnownMoments:
             self._known.clear()
         new = [i for i, k in enumerate(keys) if k not in self._known and k not in self._told]
         if new:
-            drawn = moments(self._scene, trials[new])
+            drawn = moments(self._of(), trials[new])
             self._known |= zip((keys[i] for i in new), drawn, strict=True)
         if not keys:
-            return moments(self._scene, trials)
+            return moments(self._of(), trials)
         return torch.stack([self._told[k] if k in self._told else self._known[k] for k in keys])
+
+    def _of(self) -> Scene:
+        scene = self._scene()
+        assert scene is not None  # who asks has it
+        return scene
 
 
 def _keys(trials: Trials) -> list[bytes]:
@@ -70,7 +76,7 @@ def _keys(trials: Trials) -> list[bytes]:
     return [b"".join(parts) for parts in zip(*rows, strict=True)]
 
 
-@lru_cache(maxsize=4)
+@KeptWith
 def known_moments(scene: Scene) -> KnownMoments:
     """Those of a scene, for all its evaluators."""
     return KnownMoments(scene)

@@ -15,7 +15,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.config import EvalConfig
-from r2h_batch.methods import believed, contact, fc, handover_va, random, robust
+from r2h_batch.methods import believed, contact, fc, handover_va, intent, random, robust
 from r2h_batch.methods.believed import AskedHere
 from r2h_batch.methods.predictors import predict_contacts, predict_parts
 from r2h_batch.observe import believed_object
@@ -421,6 +421,21 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     assert len(believed_object.SOLIDS) == 3
     # the last one was in hand when it was looked for
     assert after <= before + 1, (before, after)
+
+
+def test_scenes_that_batches_were_answered_in_are_let_go():
+    """Each has tables and meshes of all objects of its batch, 1 MB an object."""
+    methods = [asked(m) for m in (fc, contact, handover_va, intent)] + [asked(random, shown=())]
+
+    def alive(batches):
+        for _ in range(batches):
+            for method in methods:
+                method.ask(view(region="told")[:1])
+        gc.collect()
+        return sum(type(x) is Scene for x in gc.get_objects())
+
+    settled = alive(1)
+    assert alive(3) <= settled
 
 
 @pytest.mark.parametrize(("threads", "torch_has"), [(1, 1), (None, 2)])

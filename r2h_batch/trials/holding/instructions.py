@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.scene.objects import ObjectModel, load_objects
@@ -108,12 +108,19 @@ def understand(
         UsageError: it names no object, two, another than `object_index`, or a part that the
             receiver does not take.
     """
-    return _understand(text, tuple(load_objects() if objects is None else objects), object_index)
+    of_these = _understanding(tuple(load_objects() if objects is None else objects))
+    return of_these(text, object_index)
 
 
-@lru_cache(maxsize=65536)
+@lru_cache(maxsize=8)
+def _understanding(objects: tuple[ObjectModel, ...]) -> Callable[[str, int | None], Understood]:
+    """`_understand` about some objects, each sentence once. Few of them are kept: methods that see make objects of each
+    trial."""
+    return lru_cache(maxsize=65536)(partial(_understand, objects))
+
+
 def _understand(
-    text: str, objects: tuple[ObjectModel, ...], object_index: int | None
+    objects: tuple[ObjectModel, ...], text: str, object_index: int | None
 ) -> Understood:
     words = re.findall(r"[a-z0-9]+", text.lower().replace("'s", ""))
     which = _object(text, words, objects, object_index)
