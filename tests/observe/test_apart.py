@@ -118,20 +118,31 @@ def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_t
     assert not any(text.endswith((".npz", ".obj", ".parquet")) for text in found["files"])
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "from r2h_batch import load_benchmark; load_benchmark('r2h-v2')",
-        "import r2h_batch.scene.scene",
-        "from r2h_batch.observe import observe; observe",
-        "import importlib; importlib.import_module('r2h_batch.trials.noise')",
-    ],
-)
-def test_a_method_that_reaches_for_the_truth_is_refused_in_one_line(line, tmp_path):
-    text = f"def predict(seen):\n    {line}\n"
-    with pytest.raises(AnswerError, match="a method that sees cannot have it") as refused:
-        Apart(method(tmp_path, text), {}, 1).ask(view())
-    assert "\n" not in str(refused.value)
+REACHES = """
+from r2h_batch import load_benchmark; load_benchmark('r2h-v2')
+import r2h_batch.scene.scene
+from r2h_batch.observe import observe; observe
+import importlib; importlib.import_module('r2h_batch.trials.noise')
+""".strip().splitlines()
+IN_TURN = """
+def raises(error):
+    raise error
+
+ASKED = [{asked}]
+
+def predict(seen):
+    return ASKED.pop(0)(seen)
+"""
+"""A method that does one thing after the other, each time that it is asked: its process starts once."""
+
+
+def test_a_method_that_reaches_for_the_truth_is_refused_in_one_line(tmp_path):
+    text = IN_TURN.format(asked=", ".join(f"lambda seen: exec({line!r})" for line in REACHES))
+    apart = Apart(method(tmp_path, text), {}, 1)
+    for line in each(REACHES):
+        with pytest.raises(AnswerError, match="a method that sees cannot have it") as refused:
+            apart.ask(view())
+        assert "\n" not in str(refused.value), line
 
 
 def test_what_a_method_needs_of_the_package_it_may_import(tmp_path):
@@ -164,28 +175,29 @@ def test_answers_come_back_to_their_own_trials_whatever_the_order_and_the_batch(
         assert (seconds >= 0).all() and len(seconds) == len(rows)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("def predict(seen):\n    return 3\n", "its answer is a int; it must be (T_world_grasp, T_world_ee)"),
-        (
-            "def predict(seen):\n    return [[1.0]], [[1.0]]\n",
-            "T_world_grasp is torch.float64 (1, 1); it must be a tensor (8, 4, 4) of torch.float32 or torch.float64",
-        ),
-        (
-            "def predict(seen):\n    return seen.known.mesh\n",
-            "seen.known is None: the objects' models are not told, give --sees RIG,model=known",
-        ),
-        ("def predict(seen):\n    raise KeyError('x')\n", "KeyError: 'x' ("),
-        ("def predict(seen):\n    raise SystemExit(4)\n", "SystemExit: 4 ("),
-        ("import os\ndef predict(seen):\n    os._exit(7)\n", "its process ended with code 7"),
-        ("import nothing_like_this\n", "ModuleNotFoundError: No module named 'nothing_like_this'"),
-    ],
-)
-def test_what_a_method_does_wrong_is_said_in_one_line(text, words, tmp_path):
-    with pytest.raises(AnswerError) as refused:
-        Apart(method(tmp_path, text), {}, 1).ask(view())
-    assert words in str(refused.value) and "\n" not in str(refused.value)
+WRONG = {
+    "3": "its answer is a int; it must be (T_world_grasp, T_world_ee)",
+    "([[1.0]], [[1.0]])": "T_world_grasp is torch.float64 (1, 1); it must be a tensor (8, 4, 4) of torch.float32 or",
+    "seen.known.mesh": "seen.known is None: the objects' models are not told, give --sees RIG,model=known",
+    "raises(KeyError('x'))": "KeyError: 'x' (",
+    "raises(SystemExit(4))": "SystemExit: 4 (",
+    "__import__('os')._exit(7)": "its process ended with code 7",
+}
+"""What a method does -> words of the line about it; the last one ends its process."""
+
+
+def test_what_a_method_does_wrong_is_said_in_one_line(tmp_path):
+    apart = Apart(method(tmp_path, IN_TURN.format(asked=", ".join(f"lambda seen: {what}" for what in WRONG))), {}, 1)
+    for what, words in each(WRONG.items()):
+        with pytest.raises(AnswerError) as refused:
+            apart.ask(view())
+        assert words in str(refused.value) and "\n" not in str(refused.value), what
+
+
+def test_a_method_whose_file_cannot_be_imported_is_said_in_one_line(tmp_path):
+    with pytest.raises(AnswerError, match="ModuleNotFoundError: No module named 'nothing_like_this'") as refused:
+        Apart(method(tmp_path, "import nothing_like_this\n"), {}, 1).ask(view())
+    assert "\n" not in str(refused.value)
 
 
 ANSWERS = """
@@ -259,12 +271,14 @@ def predict(seen):
     ("words", "said"),
     [
         ("b'\\xff' * 64", "its process wrote a message of 18446744073709551615 bytes; at most"),
-        ("struct.pack('<Q', 50) + b'x' * 50", "its process wrote bytes that are no message"),
+        pytest.param(
+            "struct.pack('<Q', 50) + b'x' * 50", "its process wrote bytes that are no message", marks=pytest.mark.slow
+        ),
         (
             "message('T_world_grasp', 'T_world_ee', 't_method_s')",
             "its process wrote T_world_grasp as (2, 4, 4) float64",
         ),
-        ("message('x')", "its process wrote T_world_grasp as (0,) object"),
+        pytest.param("message('x')", "its process wrote T_world_grasp as (0,) object", marks=pytest.mark.slow),
     ],
 )
 def test_what_a_method_writes_into_the_pipe_itself_is_said_in_one_line_and_its_process_ends(words, said, tmp_path):
