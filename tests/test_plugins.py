@@ -143,7 +143,7 @@ def run(*words):
 
 listed = [line for line in run("ls", "methods")[1].splitlines() if "working" not in line]
 assert listed[-1].split() == ["shifted", "acts:predict"]
-more = ("--trials", "3", "--execute.sim", "none")
+more = ("--benchmark", "r2h-v1", "--trials", "3", "--execute.sim", "none")
 code, text = run("sweep", "--method", "shifted", "random", "--seed", "0", *more, "--out", "run")
 assert code == 0, text
 assert run("sweep", "--method", "random", "--seed", "1", *more, "--out", "other")[0] == 0
@@ -241,7 +241,7 @@ from r2h_batch import Evaluator, load_benchmark
 from r2h_batch.config import UPRIGHT_DEG
 from r2h_batch.methods.random import predict
 from r2h_batch.scene.person import heads_of
-evaluator = Evaluator(load_benchmark()).kinematic
+evaluator = Evaluator(load_benchmark("r2h-v1")).kinematic
 trials = evaluator.benchmark.trials(48)
 answer = predict(trials, evaluator.scene, seed=0)
 s = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials, stages="pose")
