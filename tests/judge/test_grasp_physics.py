@@ -56,7 +56,8 @@ def geometric(index: np.ndarray, T_obj_ee: np.ndarray, robot: Robot) -> tuple[np
 
 
 @pytest.mark.parametrize(
-    ("off_m", "robot"), [(0.0, load_robot()), (0.002, load_robot()), (0.002, JAWS), (0.002, TABLE)]
+    ("off_m", "robot"),
+    [(0.0, load_robot()), (0.002, load_robot()), (0.002, JAWS), pytest.param(0.002, TABLE, marks=pytest.mark.slow)],
 )
 def test_rigid_convex_parts_stop_the_fingers_at_their_geometric_width(off_m, robot):
     index = np.flatnonzero([p.name != "box_80" or robot.open_gap_m > 0.081 for p in parts()])
@@ -78,7 +79,9 @@ def test_without_an_object_between_them_the_pads_close_to_the_linkages_end():
     assert closed.moved_m[0] < 1e-9
 
 
-@pytest.mark.parametrize("robot", [load_robot(), JAWS, TABLE], ids=lambda r: r.name)
+@pytest.mark.parametrize(
+    "robot", [load_robot(), JAWS, pytest.param(TABLE, marks=pytest.mark.slow)], ids=lambda r: r.name
+)
 def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops(robot):
     box = parts()[1]
     light = replace(box, mass=0.1, inertia=box.inertia * (0.1 / box.mass))
