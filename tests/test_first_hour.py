@@ -318,6 +318,7 @@ def test_the_gallery_of_a_run_of_two_folders_draws_each_method_in_its_own(tmp_pa
         (("report", "nothing"), "nothing: no such folder"),
         (("report", "utf16.yaml"), "is a file; give a run folder"),
         (("report", "empty"), "no run.json, so it is not a run folder"),
+        (("import", "robot", "a.URDF", "--base", "b", "--flange", "f", "--out", "o"), "write --urdf a.URDF"),
     ],
 )
 def test_what_a_path_is_is_told(line, words, tmp_path, monkeypatch, capsys):

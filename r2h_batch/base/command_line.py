@@ -464,14 +464,17 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str], command:
         values = [word for word in re.findall(r"'([^']*)'", found[3]) if word not in ("", "None")]
         text = f"{found[2]} is {found[1]!r}{nearest(found[1], values)}; allowed are {', '.join(values)}"
     if found := re.fullmatch(r"Unrecognized options: (\S+).*", text):
-        text = _left_over(found[1], arguments)
+        text = _left_over(found[1], arguments, flags)
     return text or "the command line was not understood; see --help"
 
 
-def _left_over(word: str, arguments: Sequence[str]) -> str:
-    """One line about a word that no flag takes: behind which flag it stands."""
+def _left_over(word: str, arguments: Sequence[str], flags: Sequence[str]) -> str:
+    """One line about a word that no flag takes: behind which flag it stands, or could."""
     before = arguments[: arguments.index(word)] if word in arguments else []
     flag = next((a for a in reversed(before) if a.startswith("--")), None)
+    ending = f"--{word.rpartition('.')[2].lower()}"
+    if flag is None and ending in flags:
+        return f"{word!r} stands behind no flag; write {ending} {word}"
     if flag is None:
         return f"{word!r} is not understood; see --help"
     name, equals, _ = flag.partition("=")
