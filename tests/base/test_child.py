@@ -3,10 +3,14 @@
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 
 import pytest
+import trimesh
 from alive import alive, all_end
+
+from r2h_batch.scene.mesh_import.file import load_mesh_file
 
 READER = """
 import os, sys, time
@@ -47,3 +51,20 @@ def test_a_reader_ends_with_a_parent_that_is_killed(tmp_path):
         parent.send_signal(signal.SIGKILL)
         parent.wait()
     assert all_end([child], 20)
+
+
+@pytest.mark.parametrize("place", ["copied", "answered"])
+def test_a_full_disk_of_temporary_files_is_told_by_their_folder(place, tmp_path, monkeypatch, own_process):
+    """It was told as the run folder's."""
+    whole, kept = tmp_path / "ball.stl", []
+    trimesh.creation.icosphere(2, 0.05).export(whole)
+
+    def full():
+        kept.append(place)
+        return open("/dev/full", "r+b", buffering=0) if len(kept) > (place == "answered") else whole_file()
+
+    whole_file = tempfile.TemporaryFile
+    monkeypatch.setattr(tempfile, "TemporaryFile", full)
+    with pytest.raises(OSError, match="No space left") as error:
+        load_mesh_file(whole, "ball")
+    assert "TMPDIR names another folder" in error.value.filename

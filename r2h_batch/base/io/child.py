@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import errno
 import io
 import json
 import math
@@ -19,7 +20,8 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
@@ -27,6 +29,7 @@ import numpy as np
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.io.write import naming
 
 MOST_WAITS = 10
 """The child may wait this many times longer than it may work: for a busy machine, not for ever."""
@@ -39,8 +42,18 @@ STANDING_BYTES, STANDING_PER_BYTE = 1 << 30, 12
 """The same of a child that reads many small files."""
 ASKED_EVERY_S = 0.5
 """How often a child asks whether its parent lives."""
-REFUSED = 3
+REFUSED, FULL = 3, 4
+"""Exit codes of a child that refuses its file, and of one whose answer does not fit on the disk."""
 _NO_MEMORY = "asks for more memory than any file of its size needs"
+
+
+@contextlib.contextmanager
+def temporary_file() -> Iterator[Any]:
+    """A file without a name, which ends with the block. An error of writing it names the folder of such files, and what
+    sets it."""
+    where = f"{tempfile.gettempdir()} (temporary files; TMPDIR names another folder)"
+    with naming(Path(where)), tempfile.TemporaryFile() as file:
+        yield file
 
 
 def read_in_child(
@@ -68,7 +81,7 @@ def read_in_child(
     """
     size = os.fstat(file.fileno()).st_size
     words = json.dumps({**options, "bytes": size, "seconds": seconds, "parent": os.getpid()})
-    with tempfile.TemporaryFile() as answer:
+    with temporary_file() as answer:
         child = subprocess.Popen(
             [sys.executable, "-P", "-m", module, words],
             stdin=file, stdout=answer, stderr=subprocess.PIPE, env=_environment({}),
@@ -79,6 +92,8 @@ def read_in_child(
             if child.poll() is None:
                 child.kill()
                 child.wait()
+        if child.returncode == FULL:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         if child.returncode == REFUSED:
             raise FileError(error.strip().rpartition("\n")[2])
         if child.returncode < 0:
@@ -216,13 +231,17 @@ def answer_parent(read: Callable[[bytes, dict[str, Any]], Sequence[Any]]) -> int
     _limit(int(options["seconds"]), memory)
     answer, sys.stdout = sys.stdout.buffer, sys.stderr  # whatever a reader prints is no answer
     try:
-        for array in read(sys.stdin.buffer.read(), options):
-            np.save(answer, array, allow_pickle=False)
-        answer.flush()
-        return 0
+        arrays = read(sys.stdin.buffer.read(), options)
     except Exception as error:  # readers raise whatever their parser meets
         sys.stderr.write(f"\n{_message(error)}")
-    return REFUSED
+        return REFUSED
+    try:
+        for array in arrays:
+            np.save(answer, array, allow_pickle=False)
+        answer.flush()
+    except OSError:
+        os._exit(FULL)  # Python would write again what is left
+    return 0
 
 
 def end_with(parent: int) -> None:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import io
 import os
 import sys
-import tempfile
 from collections.abc import Mapping
 from importlib.util import find_spec
 from pathlib import Path
@@ -17,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.io.child import answer_parent, read_in_child
+from r2h_batch.base.io.child import answer_parent, read_in_child, temporary_file
 from r2h_batch.base.io.read import printable
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ class OnnxNetwork:
         return torch.as_tensor(found)
 
     def _answer(self, grid: np.ndarray | None) -> list[Any]:
-        with tempfile.TemporaryFile() as file:
+        with temporary_file() as file:
             np.save(file, np.frombuffer(self.data, np.uint8), allow_pickle=False)
             if grid is not None:
                 np.save(file, grid, allow_pickle=False)

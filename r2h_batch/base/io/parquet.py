@@ -11,7 +11,6 @@ import json
 import os
 import re
 import sys
-import tempfile
 from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -23,7 +22,7 @@ import pyarrow.parquet as pq
 import pyarrow.types as types
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.io.child import answer_parent, read_in_child
+from r2h_batch.base.io.child import answer_parent, read_in_child, temporary_file
 from r2h_batch.base.io.read import open_file, printable
 from r2h_batch.base.io.tables import MAX_WORD
 
@@ -114,7 +113,7 @@ def refused_parquet(paths: Sequence[Path]) -> dict[Path, str]:
 
 def _looked_at(paths: Sequence[Path]) -> list[str]:
     """The fault of each file as one child process sees them, empty if it has none; `FileError` if the child does not live."""
-    with tempfile.TemporaryFile() as names:
+    with temporary_file() as names:
         names.write(json.dumps([str(p) for p in paths]).encode())
         names.seek(0)
         (answers,) = read_in_child(

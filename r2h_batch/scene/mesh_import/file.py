@@ -14,7 +14,6 @@ import os
 import re
 import shutil
 import sys
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ import trimesh
 from numpy.typing import NDArray
 
 from r2h_batch.base.errors import FileError
-from r2h_batch.base.io.child import answer_parent, read_in_child
+from r2h_batch.base.io.child import answer_parent, read_in_child, temporary_file
 from r2h_batch.base.io.read import open_file, path_within, printable, read_file
 from r2h_batch.scene.mesh_import.limits import MOST_BYTES, MOST_SECONDS, ObjectMeshError
 
@@ -68,7 +67,7 @@ def _load(
     what = paths[0].name if len(paths) == 1 else f"{len(paths)} meshes"
     shown = printable(paths[0])
     try:
-        with tempfile.TemporaryFile() as joined:
+        with temporary_file() as joined:
             files = []
             for path in paths:
                 with open_file(path, MOST_BYTES) as file:
