@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.io.write import check_output_file
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.methods import Entry
@@ -119,6 +120,7 @@ def kept_answers(
             if table is None:
                 raise RunError(f"{printable(path)}: changed while it was read; try again")
         else:
+            check_output_file(path, overwrite=True, flag="the answers go into")
             parts_of_it = answers(question, run, name, judge)
             table = pa.concat_tables([schema.empty_table(), *parts_of_it])
             write_side(path, table, about)

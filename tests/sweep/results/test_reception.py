@@ -1,6 +1,8 @@
 """The command `results reception`: a table in the run folder, a funnel on the screen."""
 
+import errno
 import shutil
+import tempfile
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -85,6 +87,25 @@ def test_a_link_in_place_of_the_tables_folder_is_refused_and_nothing_is_written_
     assert main(["results", "reception", str(copy)]) == 2
     error = capsys.readouterr().err
     assert "a symbolic link" in error and error.count("\n") == 1 and not list(victim.iterdir())
+
+
+def test_a_run_folder_that_takes_no_file_is_told_before_anything_is_judged(run, tmp_path, monkeypatch, capsys):
+    copy, real = tmp_path / "run", tempfile.TemporaryFile
+    shutil.copytree(run, copy, ignore=shutil.ignore_patterns("reception"))
+
+    def read_only(*words, dir=None, **more):
+        if dir is not None:
+            raise OSError(errno.EROFS, "Read-only file system")
+        return real(*words, **more)
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", read_only)
+    assert main(["results", "reception", str(copy)]) == 1
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "working" not in line]
+    assert (
+        line.startswith("results: the answers go into")
+        and "no file can be written in" in line
+        and "judging" not in line
+    )
 
 
 def test_with_fewer_grasps_never_more_are_received():
