@@ -125,7 +125,7 @@ def _is_users(file: str) -> bool:
     path = Path(file)
     if not path.is_file() or {"site-packages", "dist-packages"} & set(path.parts):
         return False
-    library = [Path(_GUARD).parent, *(sysconfig.get_path(k) for k in ("stdlib", "platstdlib"))]
+    library = [str(Path(_GUARD).parent), *map(sysconfig.get_path, ("stdlib", "platstdlib"))]
     return not any(map(path.absolute().is_relative_to, library))
 
 

@@ -320,9 +320,9 @@ def _unjudged(run: Run, rows: Sequence[Row]) -> tuple[str, ...]:
                 f"{lost} of {sum(row.n for row in own)} rows of {method} failed {' or '.join(gone)}, not installed here: SR"
                 " counts them as failed."
             )
-    for own in run.runs:
-        if lacks := [name for name in run.asks if name not in own.asks]:
-            of = f"{own.folder.absolute().name} ({benchmark_in_words(own.header['protocol'])})"
+    for part in run.runs:
+        if lacks := [name for name in run.asks if name not in part.asks]:
+            of = f"{part.folder.absolute().name} ({benchmark_in_words(part.header['protocol'])})"
             sentences_of.append(f"{of} is not judged by {', '.join(lacks)}: compare no SR with it.")
     return tuple(dict.fromkeys(sentences_of))
 
