@@ -85,7 +85,7 @@ def numbers() -> dict[str, list[str]]:
         "observe.md": [
             f"nothing within {n(FAR_M)} m along the ray",
             f"a step of {n(sensor.edge_m, 1e3)} mm",
-            "an edge does not see beyond its border",
+            "nothing outside the window counts",
         ],
         "choices.md": [n(1e2 * PRESENTED_M["S0"]), n(1e2 * PRESENTED_M["S1"]), unchecked()],
         "run_folder.md": ["`grasp` is its number", "`grasp_shift_m`"],
