@@ -30,7 +30,7 @@ MOVED = {
     "results/sees": "results/questions.html#methods-that-see",
     "results/reception": "results/questions.html#can-the-person-take-it",
     "results/robots": "results/questions.html#other-arms",
-    "results/observe": "observe.html#how-it-was-checked",
+    "results/observe": "observe.html#errors-of-the-cameras",
     "results/pick": "r2h_v3.html#results",
     "results/whole": "r2h_v3.html#results",
     "results/sources": "results/table1.html",
