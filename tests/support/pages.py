@@ -42,7 +42,7 @@ FEW = {
     "view": "--port 0",
 }
 """Flags that make a command small."""
-SERVED_S, LATEST_S = 4.0, 120.0
+SERVED_S, LATEST_S = 1.5, 120.0
 """A command that serves until Ctrl-C is interrupted so long after it has said its address, at the latest after `LATEST_S`."""
 COMMENT = re.compile(r"<!-- (not run|slow)(?: `([^`]+)`)?: (.+?) -->", re.DOTALL)
 
@@ -359,7 +359,7 @@ def released(reader: Reader) -> None:
 
 
 PAGES: dict[str, tuple[Callable[[Reader], None], ...]] = {
-    "README.md": (demo, tutorials_file),
+    "README.md": (),
     "docs/tutorial.md": (rules, poses),
     "docs/howto/method.md": (rules, poses, motions),
     "docs/howto/report.md": (demo, poses, mine, two_robots),
