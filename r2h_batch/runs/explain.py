@@ -353,7 +353,7 @@ def _plan_passes(row: Mapping[str, Any], by: str | None) -> str:
             f": the best one overlaps by {by}" if by else ""
         )
     if reason == "start_in_collision":
-        return "a home posture that is free"
+        return "a grasp with which robot and object are free where the path begins"
     if reason == "no_path_in_budget":
         return "a path to the target, which is free itself: another target, or a longer search (--plan.rounds)"
     return {

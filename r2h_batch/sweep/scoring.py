@@ -20,7 +20,7 @@ from r2h_batch.base.io.read import printable
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.files import replace_json
-from r2h_batch.runs.header import Shard
+from r2h_batch.runs.header import Shard, shards_of
 from r2h_batch.runs.rows import (
     TrialNames,
     detail_rows,
@@ -131,7 +131,7 @@ def score_local(work: Scoring) -> dict[str, int]:
     for job in work.jobs:
         todo = folder.todo(job.name, work.setting.sweep.part)
         if not todo:
-            LOG.info(f"{job.name}: already in the run folder, reused")
+            LOG.info(f"{job.name}: {_nothing_left(folder, work.setting.sweep.part)}")
             continue
         LOG.info(f"{job.name}: warming up (kernels are compiled on first use)")
         try:
@@ -144,6 +144,18 @@ def score_local(work: Scoring) -> dict[str, int]:
         except AnswerError as error:
             refused[job.name] = refuse("sweep", error)
     return refused
+
+
+def _nothing_left(folder: RunFolder, part: tuple[int, int]) -> str:
+    """Why a part has nothing to do: its shards are stored, or there are fewer shards than parts."""
+    shards, (i, n) = len(shards_of(folder.header)), part
+    if i <= shards:
+        return "already in the run folder, reused"
+    trials = sum(folder.header["trials"].values())
+    return (
+        f"part {i} of {n} has nothing to do, because the {counted(trials, 'trials')} are {counted(shards, 'shards')}; in a new"
+        f" folder --shard-trials {max(1, trials // n)} gives every part one"
+    )
 
 
 def _score_job(work: Scoring, job: Job, todo: list[Shard], advance: Callable[[int], None]) -> None:

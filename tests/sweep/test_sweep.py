@@ -141,3 +141,12 @@ def test_any_chunk_shard_and_part_gives_the_same_digest(fake, here, tmp_path, ca
         digests.add((run.digest("my_rules:best"), run.digest("m")))
         assert run.unfinished == ()
     assert len(digests) == 1
+
+
+def test_a_part_without_a_shard_says_so_instead_of_that_its_rows_are_stored(fake, here, tmp_path, capsys):
+    line = ["--benchmark", "r2h-v1", "--method", f"{here}:best", "--trials", "20", "--out", str(tmp_path / "run")]
+    for part, empty in (("2/2", True), ("1/2", False), ("1/2", False)):
+        assert sweep.main([*line, "--shard", part]) == 0
+        told = capsys.readouterr().err
+        assert ("part 2 of 2 has nothing to do, because the 40 trials are 1 shard" in told) == empty, part
+    assert "reused" in told

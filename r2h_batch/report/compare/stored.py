@@ -1,5 +1,6 @@
 """Stored rows of the built-in methods: which folder holds those of a benchmark."""
 
+import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
@@ -146,4 +147,6 @@ def _none_stored(name: str, flags: str, preset: str) -> str:
     line = f"r2h-batch sweep --method {' '.join(METHOD_NAMES)} {flags}{more} --out {out}".replace(
         "  ", " "
     )
-    return f"no rows of the built-in methods are stored for benchmark {name}{more}; make them with `{line}`, then say {out}"
+    own = re.sub(r"--benchmark \S+", "", flags).strip()
+    own = f" with {own}" if own else ""
+    return f"no rows of the built-in methods are stored for benchmark {name}{more}{own}; make them with `{line}`, then say {out}"
