@@ -234,7 +234,7 @@ def test_every_failure_is_red_in_its_strip_and_film_and_not_covered_on_its_page(
         reds(near) > reds(ringed(np.full_like(near, 200), drawing.event[1], view_of([drawing], 1.25, close=True))) + 20
     )
     assert reds(far) > 60
-    write_film([Story(drawing)], tmp_path / "film.gif", size=(320, 256), fps=2)
+    write_film([Story(drawing)], tmp_path / "film.gif", size=(320, 256), fps=1)
     film = imageio.imread(tmp_path / "film.gif", index=None)[..., :3]
     assert max(map(reds, film)) > 30
     # on the page nothing opaque stands between the first camera and what fails

@@ -6,7 +6,7 @@ from functools import cache
 
 import pytest
 import torch
-from problems import Batch, assert_same, default_evaluator
+from problems import Batch, assert_same, default_evaluator, kinematic_evaluator
 from rounds import each
 from scipy.spatial.transform import Rotation
 from seven import with_hulls
@@ -51,6 +51,7 @@ def test_values_are_bitwise_those_without_a_gradient(batch):
     assert not plain.margin.requires_grad and scores.margin.requires_grad and not scores.q_goal.requires_grad
 
 
+@cache
 def asked(name: str) -> tuple[Evaluator, Batch]:
     """A benchmark's evaluator and candidates; of r2h-v3 only Pick is asked beside the five criteria."""
     benchmark = load_benchmark(name)
@@ -81,8 +82,8 @@ def test_a_gradient_is_the_evaluators_own_difference_of_every_criterion(name):
 def test_random_entries_agree_with_differences_over_a_tenth_of_the_way(name, rows, entries):
     """Of all that the benchmark asks for. Where a margin runs straight through a difference no nearest body changes, and its
     slope at the pose is the same."""
-    benchmark = load_benchmark(name)
-    evaluator, trials = Evaluator(benchmark, AS_PLANNED), benchmark.trials_with_ids(torch.arange(rows))
+    evaluator = kinematic_evaluator(name)
+    trials = evaluator.benchmark.trials_with_ids(torch.arange(rows))
     poses = random.predict(trials, evaluator.scene, seed=0)
     batch = Batch(trials, poses.T_obj_ee, poses.T_world_ee)
     scores, slopes = gradients(evaluator, batch)
@@ -134,9 +135,10 @@ def test_the_person_is_part_of_a_gradient():
     assert decided.sum() >= 3 and (slopes[decided, SAFE] != other[decided, SAFE]).any(1).all()
 
 
-@pytest.mark.parametrize("name", ["r2h-v1", "r2h-v2"])
+@pytest.mark.parametrize("name", [pytest.param("r2h-v1", marks=pytest.mark.slow), "r2h-v2"])
 def test_ascent_leads_failing_candidates_to_poses_that_pass(name):
     evaluator, batch = asked(name)
+    batch = batch.rows(slice(0, None, 3))
     weight = torch.tensor([1.0] * 3 + [10.0] * 3)
     poses = torch.stack([batch.T_obj_ee, batch.T_world_ee], 1)
     moved = torch.zeros(len(batch), 2, 6, requires_grad=True)
@@ -150,7 +152,7 @@ def test_ascent_leads_failing_candidates_to_poses_that_pass(name):
         (-scores.soft(temperature_m=0.005, log=True).sum()).backward()
         adam.step()
     failing = len(batch) - passes[0]
-    assert failing > 30 and passes[-1] - passes[0] > 0.5 * failing, passes
+    assert failing > 10 and passes[-1] - passes[0] > 0.5 * failing, passes
 
 
 def test_a_step_in_place_before_the_way_back_changes_no_gradient(batch):
@@ -170,11 +172,12 @@ def test_a_step_in_place_before_the_way_back_changes_no_gradient(batch):
 def test_a_target_that_was_not_found_comes_nearer_along_the_gradient():
     evaluator = evaluator_of("panda_hand")
     batch = candidates(evaluator, 200, seed=13)
-    scores, slopes = gradients(evaluator, batch)
+    scores = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages="pose")
     reasons = int(PlanReason.IK_NOT_FOUND), int(PlanReason.IK_UNREACHABLE)
     missed = (scores.plan_reason == reasons[0]) | (scores.plan_reason == reasons[1])
     rows = torch.nonzero(missed & (scores.margin[:, PLAN] < -0.02)).flatten()
-    uphill, margin = slopes[rows, PLAN, 6:], scores.margin[rows, PLAN].detach()
+    _, slopes = gradients(evaluator, batch.rows(rows))
+    uphill, margin = slopes[:, PLAN, 6:], scores.margin[rows, PLAN]
     assert len(rows) >= 12
     xi = -0.2 * margin[:, None] * uphill * torch.tensor([1.0] * 3 + [100.0] * 3)  # 10 cm like a radian
     T_world_ee = se3.orthonormalise(twist.retract(batch.T_world_ee[rows], xi)).contiguous()
@@ -229,12 +232,13 @@ def test_gradients_do_not_depend_on_batch_order_or_threads(batch):
 def test_an_overlap_of_hand_and_robot_is_left_along_the_gradient(robot):
     evaluator = evaluator_of(robot)
     batch = candidates(evaluator, 300, seed=13)
-    scores, slopes = gradients(evaluator, batch)
+    scores = evaluator.score(batch.T_obj_ee, batch.T_world_ee, batch.trials, stages="pose")
     missed = [int(PlanReason.IK_UNREACHABLE), int(PlanReason.IK_NOT_FOUND)]
     reached = ~torch.isin(scores.plan_reason, torch.tensor(missed, dtype=torch.int8))
     met = (scores.margin[:, SAFE] < -1e-3) & reached
     rows = torch.nonzero(met).flatten()
-    uphill = slopes[rows, SAFE, 6:]
+    _, slopes = gradients(evaluator, batch.rows(rows))
+    uphill = slopes[:, SAFE, 6:]
     length = uphill[:, :3].norm(dim=1)
     assert (
         len(rows) >= 10 and (length > 0.1).float().mean() > 0.8
@@ -244,7 +248,7 @@ def test_an_overlap_of_hand_and_robot_is_left_along_the_gradient(robot):
     T_world_ee = se3.orthonormalise(twist.retract(batch.T_world_ee[rows], xi)).contiguous()
     after = evaluator.score(batch.T_obj_ee[rows], T_world_ee, batch.trials[rows], stages="pose")
     kept = after.plan_reason != int(PlanReason.IK_UNREACHABLE)
-    rises = after.margin[:, SAFE] > scores.margin[rows, SAFE].detach()
+    rises = after.margin[:, SAFE] > scores.margin[rows, SAFE]
     assert (rises & kept).sum() > 0.6 * kept.sum()
 
 
