@@ -181,8 +181,9 @@ SMALL = RIG.model_copy(update={"width": 320, "height": 180, "focal_px": 162.5, "
 """cell-v1 with a quarter of its pixels each way, and windows of few pixels."""
 
 
-def test_256_trials_have_the_bits_that_they_have_alone_in_sevens_permuted_and_with_one_thread_and_with_two():
-    scene, trials, T = cell(count=128)
+@pytest.mark.parametrize("count", [16, pytest.param(128, marks=pytest.mark.slow)])
+def test_many_trials_have_the_bits_that_they_have_alone_in_sevens_permuted_and_with_one_thread_and_with_two(count):
+    scene, trials, T = cell(count=count)
     order = torch.from_numpy(np.random.default_rng(3).permutation(len(trials)))
 
     def shown(rows, threads):
@@ -194,7 +195,7 @@ def test_256_trials_have_the_bits_that_they_have_alone_in_sevens_permuted_and_wi
         known = {"known": seen.known.T_world_obj, "cloud": seen.cloud(64)[0]}
         return {**{k: torch.from_numpy(x) for k, x in packed(seen).items() if not k.startswith(OF_MESHES)}, **known}
 
-    assert len(order) == 256
+    assert len(order) == 2 * count
     every = torch.arange(len(trials))
     whole = shown(every, 1)
     assert len(whole) == 15 and whole["region"].any()
