@@ -130,6 +130,8 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
             "sweep --benchmark r2h-v1 --method random --objects families:" + "a" * 9000,
             ["no family is called 'aaaa", "there are "],
         ),
+        ("ls", ["ls: missing: one of methods, objects, "]),
+        ("why", ["why: missing: run folder of a sweep; the trial's number"]),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
         (
             "sweep --benchmark r2h-v1 --method random --objects not_there",

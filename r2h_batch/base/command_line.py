@@ -430,6 +430,19 @@ MOST_FLAGS_IN_A_LINE = 30
 _NUMBERS = {"INT": "a whole number in decimal digits", "FLOAT": "a number in decimal digits"}
 
 
+def _missing(words: str) -> str:
+    """What tyro lists as required, each as what it is; "" if it lists nothing."""
+    found = re.findall(r"(\{[^}]*\}|(?:--\S+ )?\S+) (.*?)\.? \(required\)", words)
+    named = []
+    for what, told in found:
+        if what.startswith("{"):
+            told = f"one of {what[1:-1].replace(',', ', ')}"
+        elif what.startswith("--"):
+            told = f"{what.partition(' ')[0]}, {told}"
+        named.append(told)
+    return f"missing: {'; '.join(named)}" if named else ""
+
+
 def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str], command: str) -> str:
     """tyro's box as one line; a misspelt flag or value with its nearest match, one that `command` has no more with what to
     use instead."""
@@ -451,6 +464,8 @@ def _one_line(box: str, arguments: Sequence[str], flags: Sequence[str], command:
         lambda i: worded[i], itertools.dropwhile(lambda i: not worded[i], range(start, len(lines)))
     )
     text = " ".join(lines[i] for i in message).rstrip(" .").removeprefix("Error parsing ")
+    if found := re.match(r"Missing from .*?: (.*)", text):
+        text = _missing(found[1]) or text
     if found := re.search(r"no type matching (.*) could be instantiated from \['(.*)'\]", text):
         choices = re.findall(r"\{(.*?)\}|(INT|FLOAT)", found[1])
         some = [(words, kind) for words, kind in choices if words != "None"]
