@@ -88,12 +88,16 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             rooms = {mm: pool.submit(parts.get, f"room {mm}", partial(_room, home, mm)) for mm in ROOMS_MM}
             for track, piece in waiting:
                 spent[track] += piece.result()
-            each = options.checked
-            checked = {
-                t: pool.submit(parts.get, f"checked {t} {each}", partial(_checked, home / t, each)) for t in TRACKS
-            }
-            concurrent.futures.wait([*rooms.values(), *checked.values()])
-        runs = {track: load_run(home / track) for track in TRACKS}
+            concurrent.futures.wait([*rooms.values()])
+        runs, each = {track: load_run(home / track) for track in TRACKS}, options.checked
+        # a process for each method: what the ones before have in memory is gone
+        with ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=1) as pool:
+            checked = [
+                pool.submit(parts.get, f"checked {t} {each} {name}", partial(_checked, home / t, name, each))
+                for t, run in runs.items()
+                for name in run.methods
+            ]
+            concurrent.futures.wait(checked)
         if options.rows:
             trials = {"truth": options.trials, "seen": options.seen_trials}
             for track, name in SHIPPED.items():
@@ -104,7 +108,7 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
         return {
             "trials": options.trials,
             "methods": {name: _about(runs["truth"], name) for name in runs["truth"].methods},
-            "checked": [c for t in TRACKS for c in checked[t].result()],
+            "checked": [c for part in checked for c in part.result()],
             "rooms": {str(mm): x.result() for mm, x in rooms.items()},
             "room_trials": ROOM_TRIALS,
             "ms": parts.get("cost", partial(_cost, runs["truth"])),  # alone on the machine
@@ -162,8 +166,8 @@ def _pairs(run: Any) -> list[dict[str, Any]]:
     ]
 
 
-def _checked(folder: Path, each: int) -> list[dict[str, Any]]:
-    """So many rows of each method, and the verdict of other code on them."""
+def _checked(folder: Path, name: str, each: int) -> list[dict[str, Any]]:
+    """So many rows of a method, and the verdict of other code on them."""
     from dataclasses import fields
 
     from _twins import Again, AgainBelieved, PickTwin, presented_again, reception_of
@@ -180,47 +184,46 @@ def _checked(folder: Path, each: int) -> list[dict[str, Any]]:
     scene, believes = judge.evaluator.scene, judge.evaluator.plans_in is not None
     kind = AgainBelieved if believes else Again
     checked: list[dict[str, Any]] = []
-    for name in run.methods:
-        columns = rows_of(run, name)
-        ids = list(columns)[:: max(len(columns) // each, 1)][:each]
-        trials = judge.trials(ids)
-        grasp, pose = poses_of([columns[i] for i in ids])
-        rest = moments(scene, trials)
-        found = judge.evaluator.picks(grasp, pose, trials)
-        scores = judge.evaluator.score(grasp, pose, trials)
-        people, answers = reception(scores), Predictions(trials.trial_id, grasp, pose)
-        for k, i in enumerate(ids):
-            row = columns[i]
-            own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
-            says = ""
-            if not believes or int(own.length[0]):  # without a pick in the believed world the arm does not move
-                says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
-            if row["passed_pick"] != bool(own.picked):
-                says = f"{says} stored otherwise"
-            twin = kind(
-                scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
-                T_world_rest=rest[k],
-            )  # fmt: skip
-            others = [f.name for f in twin.findings() if not f.holds]
-            if (said := row["passed_presented"]) is not None:
-                first = presented_again(scene, trials, answers, scores, k).margin
-                away = abs(first - row["margin_presented_m"]) > SAME_M
-                others += ["presented"] if away or (said != (first >= 0) and abs(first) > SAME_M) else []
-            if row["passed_received"] is not None:
-                others += [f.name for f in reception_of(twin, people, k) if not f.holds]
-                if bool(people.received[k]) != row["passed_received"]:
-                    others.append("received is stored otherwise")
-            checked.append(
-                {
-                    "method": name,
-                    "trial": i,
-                    "picked": bool(own.picked),
-                    "carried": bool(row.get("q")),
-                    "presented": bool(row["passed_presented"]),
-                    "received": bool(row["passed_received"]),
-                    "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
-                }
-            )
+    columns = rows_of(run, name)
+    ids = list(columns)[:: max(len(columns) // each, 1)][:each]
+    trials = judge.trials(ids)
+    grasp, pose = poses_of([columns[i] for i in ids])
+    rest = moments(scene, trials)
+    found = judge.evaluator.picks(grasp, pose, trials)
+    scores = judge.evaluator.score(grasp, pose, trials)
+    people, answers = reception(scores), Predictions(trials.trial_id, grasp, pose)
+    for k, i in enumerate(ids):
+        row = columns[i]
+        own = Picked(*(getattr(found, f.name)[k : k + 1] for f in fields(Picked)))
+        says = ""
+        if not believes or int(own.length[0]):  # without a pick in the believed world the arm does not move
+            says = PickTwin(scene, trials[k : k + 1], grasp[k], rest[k], own).wrong()
+        if row["passed_pick"] != bool(own.picked):
+            says = f"{says} stored otherwise"
+        twin = kind(
+            scene, judge.evaluator.config, trials[k : k + 1], row | _until_safe(row), row["T_obj_ee"], row["T_world_ee"],
+            T_world_rest=rest[k],
+        )  # fmt: skip
+        others = [f.name for f in twin.findings() if not f.holds]
+        if (said := row["passed_presented"]) is not None:
+            first = presented_again(scene, trials, answers, scores, k).margin
+            away = abs(first - row["margin_presented_m"]) > SAME_M
+            others += ["presented"] if away or (said != (first >= 0) and abs(first) > SAME_M) else []
+        if row["passed_received"] is not None:
+            others += [f.name for f in reception_of(twin, people, k) if not f.holds]
+            if bool(people.received[k]) != row["passed_received"]:
+                others.append("received is stored otherwise")
+        checked.append(
+            {
+                "method": name,
+                "trial": i,
+                "picked": bool(own.picked),
+                "carried": bool(row.get("q")),
+                "presented": bool(row["passed_presented"]),
+                "received": bool(row["passed_received"]),
+                "wrong": "; ".join([*([says.strip()] if says.strip() else []), *others]),
+            }
+        )
     return checked
 
 

@@ -460,7 +460,10 @@ class Again:
         if reason == "start_in_collision":
             return self._clearance(np.array(self.config.workplace.home_q))
         if reason in ("ik_in_collision", "no_free_posture_found"):
-            return max((self._clearance(q) for q in self._branches()), default=-np.inf)
+            most = -np.inf
+            for q in self._branches():
+                most = max(most, self._clearance(q, most))
+            return most
         return -np.inf
 
     def _branches(self) -> Array:
@@ -494,15 +497,20 @@ class Again:
         found = [least_squares(off, start, bounds=(low - 1e-9, high + 1e-9)).x for start in starts]
         return np.array([q for q in found if np.abs(off(q)).max() < 1e-6]).reshape(-1, len(low))
 
-    def _clearance(self, q: Array) -> float:
-        """Smallest clearance of all pairs at a posture; below 0 the depth of the deepest."""
+    def _clearance(self, q: Array, enough: float = -np.inf) -> float:
+        """Smallest clearance of all pairs at a posture; below 0 the depth of the deepest, or of one that is below `enough`."""
         twin = self.seen
         least, _ = twin.least(q, cap=CLEARANCE_CAP_M)
         if least >= 0:
             return least
         (a, b), m, x = twin.pairs.T, twin.model, twin.data.geom_xpos
-        near = twin.pairs[np.linalg.norm(x[a] - x[b], axis=1) < m.geom_rbound[a] + m.geom_rbound[b]]
-        return -max(oracle.geom_depth(m, twin.data, int(i), int(j)) for i, j in near)
+        most = m.geom_rbound[a] + m.geom_rbound[b] - np.linalg.norm(x[a] - x[b], axis=1)  # parts their balls
+        deepest = 0.0
+        for i in np.argsort(-most):
+            if most[i] <= deepest or -deepest < enough:
+                break
+            deepest = max(deepest, oracle.geom_depth(m, twin.data, int(a[i]), int(b[i])))
+        return -deepest
 
     def reach(self) -> float:
         """r_h - dist(c_h, solid of the object, or its hull)."""

@@ -72,6 +72,8 @@ class PickTwin:
         self.T_hand = rigid(trials.T_world_hand[0])
         self.receiver = None if trials.receiver is None else trials.receiver[0].double().numpy()
         self.found = found
+        # a stage with more room than this decides nothing: what is nearer is known
+        self.cap_m = min(CAP_M, max(float(found.margin_m[0]), 0.0) + STEP_M + TOLERANCE_M)
         model = scene.objects[self.object]
         self.triangles = model.vertices.astype(np.float64)[model.faces]
 
@@ -124,11 +126,11 @@ class PickTwin:
 
     def approach(self) -> float:
         """Smallest clearance of the robot from all but the object, and of the arm from the object's hull, on the way in."""
-        return min(_least(self.open, self.ways[0]), _least(self.resting, self.ways[0], classes=("hand",), of="arm"))
+        return min(self._least(self.open, self.ways[0]), self._least(self.resting, self.ways[0], ("hand",), of="arm"))
 
     def gripper_on_the_way_in(self) -> float:
         """Smallest clearance of the open gripper from table and person on the way in: the same in every branch."""
-        return _least(self.open, self.ways[0], classes=("hand", "table"), of="gripper")
+        return self._least(self.open, self.ways[0], ("hand", "table"), of="gripper")
 
     def gripper_at_the_grasp(self) -> float:
         """Smallest clearance of the open gripper from table and person at the grasp, in a posture of own inverse kinematics."""
@@ -136,11 +138,11 @@ class PickTwin:
         starts = (rng.uniform(-np.pi, np.pi, len(self.robot.joints)) for _ in range(60))
         found = (jacobian_ik(self.robot, self.T_world_ee, start) for start in starts)
         q = next(q for q in found if q is not None)
-        return _least(self.open, q[None], classes=("hand", "table"), of="gripper")
+        return self._least(self.open, q[None], ("hand", "table"), of="gripper")
 
     def entered(self) -> float:
         """Smallest clearance of the open gripper from the object's surface on the straight way in; below 0: minus a depth."""
-        g, best = self.robot.gripper, CAP_M
+        g, best = self.robot.gripper, self.cap_m
         places = Fingers(self.robot).places(self.robot.open_gap_m)
         # no sample is farther from the one before than a step, so what is far away stays so for a while
         lower = np.zeros(len(g.names))
@@ -158,7 +160,7 @@ class PickTwin:
 
     def closing(self) -> float:
         """Smallest clearance while the fingers close at the grasp, every millimetre of the gap; what the table lacks of room."""
-        q, best = self.ways[0][-1], CAP_M
+        q, best = self.ways[0][-1], self.cap_m
         world, fingers = self._world(self.robot.open_gap_m), Fingers(self.robot)
         ids = [world.model.geom(n).id for n in self.robot.gripper.names]
         steps = max(round(1e3 * (self.robot.open_gap_m - self.opening)), 1)
@@ -166,7 +168,7 @@ class PickTwin:
             T = self.robot.T_wrist3_flange @ self.robot.T_flange_ee @ fingers.places(float(gap))
             world.model.geom_pos[ids] = T[:, :3, 3]
             world.model.geom_quat[ids] = Rotation.from_matrix(T[:, :3, :3]).as_quat(scalar_first=True)
-            best = min(best, _least(world, q[None]))
+            best = min(best, self._least(world, q[None]))
         room = self.scene.config.thresholds.pad_squeeze_m - self.shift * self.T_world_ee[2, 1]
         return min(best, room) if room < 0 else best
 
@@ -175,14 +177,40 @@ class PickTwin:
         attached = self.T_obj_ee.copy()
         attached[:3, 3] += self.shift * self.T_obj_ee[:3, 1]
         world = self._world(self.opening, attached)
-        return _least(world, self.ways[1], classes=("hand", "table", "self", "object_hand", "object_robot"))
+        return self._least(world, self.ways[1], ("hand", "table", "self", "object_hand", "object_robot"))
 
     def way(self) -> float:
         """Smallest clearance on the path from home, the resting object's hull among the obstacles."""
         dense = np.concatenate(
             [np.linspace(a, b, max(int(np.abs(b - a).sum() / 0.01), 2)) for a, b in pairwise(self.path)]
         )
-        return min(_least(self.open, dense), _least(self.resting, dense, classes=("hand",)))
+        return min(self._least(self.open, dense), self._least(self.resting, dense, ("hand",)))
+
+    def _least(
+        self, world: World, postures: Array, classes: Sequence[str] = ("hand", "table", "self"), *, of: str = "robot"
+    ) -> float:
+        """Smallest clearance over postures, at most `cap_m`; of the first pair that meets, minus its depth.
+
+        `of`: robot, arm (all but the gripper) or gripper.
+        """
+        gripper = [world.model.geom(n).id for n in world.groups["gripper"]]
+        keep = np.isin(world.pair_class, [CLASSES.index(c) for c in classes])
+        if of != "robot":
+            keep &= np.isin(world.pairs[:, 0], gripper) == (of == "gripper")
+        m, d, best = world.model, world.data, self.cap_m
+        a, b = world.pairs[keep].T
+        for q in postures:
+            d.qpos[: len(q)] = q
+            mujoco.mj_kinematics(m, d)
+            lower = world._lower_bounds(a, b)
+            for i in np.argsort(lower):
+                if lower[i] >= best:
+                    break
+                x = mujoco.mj_geomDistance(m, d, a[i], b[i], best + 0.01, None)
+                if x < 0:
+                    return -max(geom_depth(m, d, int(a[i]), int(b[i])), 1e-9)
+                best = min(best, x)
+        return best
 
     def missed(self) -> float:
         """How far the grasp is out of reach (m)."""
@@ -229,30 +257,3 @@ def _between(way: Array) -> Array:
     """A way with further postures between its own."""
     parts = [np.linspace(a, b, PARTS_BETWEEN, endpoint=False) for a, b in pairwise(way)]
     return np.concatenate([*parts, way[-1:]])
-
-
-def _least(
-    world: World, postures: Array, *, classes: Sequence[str] = ("hand", "table", "self"), of: str = "robot"
-) -> float:
-    """Smallest clearance over postures, at most CAP_M; of the first pair that meets, minus its depth.
-
-    `of`: robot, arm (all but the gripper) or gripper.
-    """
-    gripper = [world.model.geom(n).id for n in world.groups["gripper"]]
-    keep = np.isin(world.pair_class, [CLASSES.index(c) for c in classes])
-    if of != "robot":
-        keep &= np.isin(world.pairs[:, 0], gripper) == (of == "gripper")
-    m, d, best = world.model, world.data, CAP_M
-    a, b = world.pairs[keep].T
-    for q in postures:
-        d.qpos[: len(q)] = q
-        mujoco.mj_kinematics(m, d)
-        lower = world._lower_bounds(a, b)
-        for i in np.argsort(lower):
-            if lower[i] >= best:
-                break
-            x = mujoco.mj_geomDistance(m, d, a[i], b[i], best + 0.01, None)
-            if x < 0:
-                return -max(geom_depth(m, d, int(a[i]), int(b[i])), 1e-9)
-            best = min(best, x)
-    return best
