@@ -59,9 +59,14 @@ def differing(a, b):
     ]
 
 
-def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(cold, monkeypatch):
+FEW, MORE = ((0, "spawn"), (2, "fork")), ((0, "fork"), (1, "spawn"), (2, "fork"))
+"""Processes that draw, and how those of a loader are started. Each draws all instances anew."""
+
+
+@pytest.mark.parametrize("ways", [FEW, pytest.param(MORE, marks=pytest.mark.slow)], ids=["few", "more"])
+def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(ways, cold, monkeypatch):
     runs = []
-    for workers, how in each([(0, "fork"), (1, "spawn"), (2, "fork")]):
+    for workers, how in each(ways):
         monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
         forget()
         pairs = stream(load_benchmark(), FAMILIES, workers=workers, **SIZES)
@@ -185,7 +190,9 @@ ENDS = {
 
 
 RARE = ("the end of the program, spawned", "an error", "a kill, spawned", "a kill, of a server's forks")
-"""Ways of which `make test` has another one: the same end, of processes that were started otherwise."""
+RARE += ("the stream is used no longer", "ctrl-c to its workers")
+"""Ways of which `make test` has another one: the same end, of processes that were started otherwise, of a stream that is
+closed, without a loader's workers."""
 
 
 @pytest.mark.alone
