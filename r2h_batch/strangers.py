@@ -514,8 +514,8 @@ class stranger:
             sys.modules.update(self._modules | sys.modules)
 
     def _note_threads(self) -> None:
-        if threading.active_count() > len(self._alive):
-            _threads.extend((t, self.name) for t in threading.enumerate() if t not in self._alive)
+        # their number says nothing: one of before may have ended meanwhile
+        _threads.extend((t, self.name) for t in threading.enumerate() if t not in self._alive)
         if any(t.is_alive() for t, _ in _threads):
             _OF_OS["_exit"] = _no_exit  # they may call it when this block is over
 

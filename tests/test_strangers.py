@@ -182,6 +182,22 @@ end_without_threads(3)
     ]
 
 
+def test_a_thread_that_stays_cannot_end_the_process_where_one_of_before_has_ended_meanwhile():
+    code = """
+import os, threading, time
+from r2h_batch.strangers import stranger
+before = threading.Thread(target=time.sleep, args=(0.05,))
+before.start()
+with stranger("theirs"):
+    threading.Thread(target=lambda: (time.sleep(0.3), os._exit(0))).start()
+    before.join()
+time.sleep(0.6)
+print("goes on")
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "goes on\n"
+
+
 def test_its_function_of_atexit_raises_in_a_line_and_decides_no_exit_code():
     code = """
 import atexit, os, sys
