@@ -295,9 +295,9 @@ def test_each_run_of_a_table_is_judged_by_the_criteria_of_its_own_benchmark(orde
             assert found.rates == row.rates and found.counts == row.counts and found.shares == row.shares
             assert ("f_pick" in row.rates) == ("r2h-v3" in run.folder.name)
     assert not lines
-    words = "r2h-v2-as-planned (r2h-v2) is not judged by pick, presented, received"
-    (said,) = both.unjudged
-    assert said.startswith(words) and words in report.brief(both)
+    (said,) = (line for line in both.unjudged if line.startswith("r2h-v2-as-planned (r2h-v2) is not judged by "))
+    assert {"pick", "presented", "received"} <= {*re.findall(r"[a-z]+", said)}
+    assert said.partition(":")[0] in report.brief(both)
     cells = {r["method"]: r["f_pick"] for r in csv.DictReader(io.StringIO(report.render(both, "csv")))}
     assert cells["r2h-v2-as-planned/oracle"] == "n/a" and cells["r2h-v3-as-planned/oracle"] == "0.0"
     for fmt in each(("md", "latex", "json")):
