@@ -297,7 +297,9 @@ def test_each_run_of_a_table_is_judged_by_the_criteria_of_its_own_benchmark(orde
     assert not lines
     (said,) = (line for line in both.unjudged if line.startswith("r2h-v2-as-planned (r2h-v2) is not judged by "))
     assert {"pick", "presented", "received"} <= {*re.findall(r"[a-z]+", said)}
-    assert said.partition(":")[0] in report.brief(both)
+    # a short table has room for the first notes only: with a criterion more they are about that one
+    told = report.brief(both) if both.unjudged == (said,) else report.render(both, "md")
+    assert said.partition(":")[0] in told
     cells = {r["method"]: r["f_pick"] for r in csv.DictReader(io.StringIO(report.render(both, "csv")))}
     assert cells["r2h-v2-as-planned/oracle"] == "n/a" and cells["r2h-v3-as-planned/oracle"] == "0.0"
     for fmt in each(("md", "latex", "json")):
