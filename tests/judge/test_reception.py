@@ -520,6 +520,29 @@ def test_the_gripper_lets_go_where_samples_of_opening_and_backing_off_keep_off_t
     assert release.sum() > 50 and (third & two & ~free).sum() > 5 and (~two & third & free).sum() >= 1
 
 
+def test_elbows_beside_links_are_clear_of_the_robot_as_fcl_says(scores, steps):
+    """Shoulder, torso and head are where the person waits, lifted away; only elbow and wrist of a pair are at the robot."""
+    batch, _, _, _ = steps
+    robot, rng, found = evaluator().scene.robot, np.random.default_rng(6), []
+    rows = torch.nonzero(batch.evaluated).flatten()
+    n, q = len(rows), scores.q_goal[rows].double().numpy()
+    receiver = batch.robot["receiver"].clone()
+    receiver[:, :4, 2] += 2.0
+    links = forward_kinematics(robot, q)
+    elbow = links[np.arange(n), rng.integers(1, 7, n), :3, 3] + rng.uniform(-0.25, 0.25, (n, 3))
+    wrist = elbow + np.array([0.0, 0.0, 0.3])
+    moved = {"receiver": receiver, "head": heads_of(receiver), "trial": rows.to(torch.int32)}
+    made = judge._launch(
+        batch, kernels.arm_clears_robot, n, **batch.robot | moved, lean=torch.zeros(n),
+        elbow=torch.from_numpy(elbow).float(), wrist=torch.from_numpy(wrist).float(),
+    )["clear"]  # fmt: skip
+    for i, row in enumerate(each(rows.tolist())):
+        gap = gap_to_robot(batch, row, q[i], arm_bodies(receiver[row], 0.0, elbow[i], wrist[i]))
+        found.append(bool(made[i]))
+        assert gap > 0 if made[i] else gap < 2e-5, (row, gap)
+    assert found.count(True) >= 3 and found.count(False) >= 3
+
+
 def test_arms_that_only_the_torso_keeps_off_the_robot_are_as_fcl_says(scores, steps):
     """The torso, and with it the head, is moved to the robot's links; forearm and upper arm are far away."""
     batch, _, _, _ = steps
