@@ -20,7 +20,7 @@ COMMANDS = {
     "report": ("commands.report:report", "Print the table of run folders, or write their page."),
     "compare": ("commands.compare:compare", "Compare methods on the trials that they share."),
     "view": ("view.command:view", "Look at trials, or write one as a page, a film or strips."),
-    "why": ("view.why:why", "Say why one trial failed, and what would have passed."),
+    "why": ("view.why:why", "Say why trials failed, and what would have passed."),
     "ls": ("commands.ls:ls", "List what can be named; show and check a benchmark."),
     "export": (
         "commands.export:COMMANDS",

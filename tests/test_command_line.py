@@ -131,7 +131,7 @@ def test_an_empty_word_is_refused_and_does_not_mean_the_default(line, named, cap
             ["no family is called 'aaaa", "there are "],
         ),
         ("ls", ["ls: missing: one of methods, objects, "]),
-        ("why", ["why: missing: run folder of a sweep; the trial's number"]),
+        ("why", ["why: missing: run folder of a sweep"]),
         ("ls robot", ["is 'robot', did you mean robots?; allowed are methods, "]),
         (
             "sweep --benchmark r2h-v1 --method random --objects not_there",

@@ -73,6 +73,8 @@ CALIBRATION_M = 0.002
 """By so much a camera of cell-v1 stands elsewhere than is believed, each way (`observe.rig`). A pick with less room may touch."""
 LEAST = 0.05
 """Smaller margins are not printed as a number (mm, deg)."""
+REASON_COLUMNS = ("outcome", "plan_reason", "pick_reason", "received_reason", "width_m")
+"""Columns that say why a row failed."""
 ENTRIES = {entry.name: entry for entry in EVERY}
 """Name of a criterion -> what the registry says of it."""
 
@@ -107,30 +109,24 @@ def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.
             not say it.
         head_m: what robot and object have to keep from the head, m.
     """
-    outcome = str(row["outcome"])
+    outcome, said = str(row["outcome"]), reason_of(row)
     if outcome == "success":
-        return outcome if row.get("t_exec_s") is None else f"success, {row['t_exec_s']:.1f} s"
-    if outcome in NO_LONGER:
-        return f"{outcome} fails: r2h_batch 0.3 judged by it, this version does not"
-    if outcome == ELSEWHERE:
-        return "fails a criterion whose package is not installed here"
+        return said if row.get("t_exec_s") is None else f"{said}, {row['t_exec_s']:.1f} s"
     if outcome not in ENTRIES:
-        return outcome.replace("_", " ")
+        return said
     size, unit = short_by(row, outcome)
     least = "at least " if row.get(f"margin_kind_{outcome}") == "bound" else ""
     by = "" if size is None or size < LEAST else f"{least}{size:.1f} {unit.shown}"
     words = f"{outcome} fails: "
     if outcome == "plan":
-        reason = str(row["plan_reason"])
         met = f" ({PAIRS.get(pair, pair)})" if pair and row.get("plan_pair") else ""
-        short = f": {by} short" if by and reason in SHORT else ""
-        return f"{words}{REASONS.get(reason, reason.replace('_', ' '))}{met}{short}"
+        short = f": {by} short" if by and str(row["plan_reason"]) in SHORT else ""
+        return f"{said}{met}{short}"
     if outcome == "pick":
         return f"{words}{_pick_why(row)}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "received":
-        reason = str(row.get("received_reason"))
-        short = f": {by} are left" if reason in LEFT_OUT else f", by {by}"
-        return f"{words}{RECEIVES.get(reason, '')}{short if by else ''}".rstrip(" :,")
+        left = str(row.get("received_reason")) in LEFT_OUT
+        return said + ((f": {by} are left" if left else f", by {by}") if by else "")
     if outcome == "presented" and (nearer := presented_words(row)):
         return f"{words}{nearer}"
     if outcome == "safe" and row.get("witness_safe_part") and row.get("witness_time_s") is not None:
@@ -138,14 +134,38 @@ def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.
         if not row.get("witness_point_m"):  # a point is known of the hand alone
             return f"{words}{part} {meets_person(head_m)}"
         return f"{words}{part} meets the hand at {row['witness_time_s']:.1f} s"
-    if outcome == "stability" and row.get("width_m") is None:
-        return f"{words}nothing lies between the pads"
-    if outcome == "stability":
-        words += f"{1e3 * row['width_m']:.1f} mm of material between the pads, "
-    text = ENTRIES[outcome].fails
-    if not text or not by:
-        return f"{words}{text}".rstrip(" :,")
-    return f"{words}{text}, by {by}"
+    if outcome == "stability" and row.get("width_m") is not None:
+        fails = ENTRIES[outcome].fails
+        said = f"{words}{1e3 * row['width_m']:.1f} mm of material between the pads, {fails}"
+        return f"{said}, by {by}" if by else said
+    return f"{said}, by {by}" if by and ENTRIES[outcome].fails else said
+
+
+def reason_of(row: Mapping[str, Any]) -> str:
+    """The verdict in words that all rows of one reason share: without numbers and without the bodies of a row.
+
+    Args:
+        row: of trials; `REASON_COLUMNS` are read.
+    """
+    outcome = str(row["outcome"])
+    if outcome in NO_LONGER:
+        return f"{outcome} fails: r2h_batch 0.3 judged by it, this version does not"
+    if outcome == ELSEWHERE:
+        return "fails a criterion whose package is not installed here"
+    if outcome not in ENTRIES:
+        return outcome.replace("_", " ")
+    if outcome == "plan":
+        reason = str(row["plan_reason"])
+        words = REASONS.get(reason, reason.replace("_", " "))
+    elif outcome == "pick":
+        words = PICKS.get(str(row.get("pick_reason")), "")
+    elif outcome == "received":
+        words = RECEIVES.get(str(row.get("received_reason")), "")
+    elif outcome == "stability" and row.get("width_m") is None:
+        words = "nothing lies between the pads"
+    else:
+        words = ENTRIES[outcome].fails
+    return f"{outcome} fails: {words}".rstrip(" :")
 
 
 NEARER = {"gripper": "the gripper", "sharp": "a sharp part"}

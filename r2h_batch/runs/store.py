@@ -15,10 +15,11 @@ import hashlib
 import os
 import shlex
 from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -34,7 +35,7 @@ from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
 from r2h_batch.base.validate import path as path_of
 from r2h_batch.runs.before import tell_unread
-from r2h_batch.runs.explain import Explanation, explained
+from r2h_batch.runs.explain import Explanation
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
@@ -189,12 +190,15 @@ class Run:
             f"methods: {methods}{more})"
         )
 
-    def explain(self, trial: int | str, method: str | None = None) -> Explanation:
-        """Why one trial passed or failed, from its stored row; `r2h-batch why` judges a failed plan again for its pair.
+    def explain(
+        self, trial: int | str, method: str | None = None, code: Collection[str] = ()
+    ) -> Explanation:
+        """Why one trial passed or failed, as `r2h-batch why` says it; a failed plan is judged again for its pair of bodies.
 
         Args:
             trial: its number, or what its owner calls it.
             method: the full name or the sweep's word (fc); None: the only method.
+            code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
 
         Returns:
             The criterion that failed first, its margin, what decides it, what would have passed, and the command that
@@ -209,11 +213,11 @@ class Run:
                 f"{self.folder}: has {len(names)} complete methods; name one: {', '.join(names) or 'none'}"
             )
         name = names[0] if method is None else self.named(method)
-        row = self.row(self.trial_id(str(trial)), name)
-        run = self.run_of(name)
-        limits = run.header.get("configuration", {}).get("thresholds", {})
-        command = picture_command(self, name, row["trial_id"])
-        return explained(row, name, limits, command, head_m=run.header.get("head_clearance_m", 0.0))
+        number, run, slug = self.trial_id(str(trial)), self.run_of(name), self.entry(name).slug
+        own = next(e.name for e in run.entries if e.slug == slug)
+        why = import_module("r2h_batch.view.why")  # by its name: what judges again stands above
+        found: Explanation = why.explanation(run, number, own, why.reader_of(run, code))
+        return replace(found, method=name)
 
     def complete(self, word: str | None = None) -> str:
         """The full name of a method whose rows are all there.
@@ -361,13 +365,28 @@ class Run:
         Args:
             method: its name in the run.
         """
+        folder, name = self._called(method)
+        return shlex.join(["r2h-batch", "view", folder, "--method", name, "--trial"])
+
+    def why_command(self, method: str, trial: int) -> str:
+        """The command that says why a trial failed: `r2h-batch why RUN TRIAL --method WORD`.
+
+        Args:
+            method: its name in the run.
+            trial: its number.
+        """
+        folder, name = self._called(method)
+        return shlex.join(["r2h-batch", "why", folder, str(trial), "--method", name])
+
+    def _called(self, method: str) -> tuple[str, str]:
+        """The folder of a method's run, and the method as a command there names it."""
         entry, run = self.entry(method), self.run_of(method)
         name = next(e.name for e in run.entries if e.slug == entry.slug)
         module = entry.source.get("function", "").partition(":")[0]
         word = module.removeprefix("r2h_batch.methods.").replace("_", "-")
         with suppress(RunError):
             name = word if run.named(word) == name else name
-        return shlex.join(["r2h-batch", "view", str(entry.folder), "--method", name, "--trial"])
+        return str(entry.folder), name
 
     def planned(self, method: str) -> dict[str, int]:
         """Split -> trials that a method was asked.

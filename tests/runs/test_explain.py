@@ -7,8 +7,10 @@ from made_runs import write_run
 from r2h_batch.__main__ import main
 from r2h_batch.config import PRESENTED_M
 from r2h_batch.observe.rig import load_rig
+from r2h_batch.report.reasons import MOST, reasons
+from r2h_batch.report.text import MOST_LINES
 from r2h_batch.runs import load_run
-from r2h_batch.runs.explain import CALIBRATION_M, ROOMS, explained, headline, presented_words
+from r2h_batch.runs.explain import CALIBRATION_M, ROOMS, explained, headline, presented_words, reason_of
 from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA, Outcome, Room
 
@@ -68,6 +70,8 @@ def test_every_failure_says_its_criterion_margin_and_what_would_have_passed(stor
     margin = stored[f"margin_{found.criterion}_m"]
     assert found.margin == (margin if np.isfinite(margin) else None)
     text = str(found)
+    if found.criterion in ("plan", "reach", "affordance", "received"):
+        assert found.why.startswith(reason_of(stored))
     assert text.startswith("trial 7, mine") and "r2h-batch view RUN --trial 7" in text
     assert ("mm" in text.split("margin:")[1].splitlines()[0]) if np.isfinite(margin) else "margin:" not in text
 
@@ -144,6 +148,37 @@ def test_a_run_explains_its_trials_and_its_repr_is_a_line(run):
         loaded.explain(1 << 63, "m")
     table = loaded.to_pandas()
     assert len(table) == 24 and set(table.method) == {"m", "n"} and table.margin_plan_m.notna().any()
+
+
+def test_without_a_trial_every_reason_is_counted_with_a_trial_that_has_it(run, capsys):
+    assert main(["why", str(run.folder)]) == 0
+    said = capsys.readouterr().out
+    rows = [[c.strip() for c in line.strip("|").split("|")] for line in said.splitlines() if " fails: " in line]
+    assert {row[0] for row in rows} == {"m", "n"} and len(said.splitlines()) <= MOST_LINES
+    for name, why, n, share, trial in rows:
+        same = [k for k in range(12) if reason_of(run.row(k, name)) == why]
+        assert (int(n), float(share), int(trial)) == (len(same), round(100 * len(same) / 12, 1), same[0])
+        assert main(["why", str(run.folder), trial, "--method", name]) == 0
+        assert why.split(":")[0] in capsys.readouterr().out
+    for name in ("m", "n"):
+        assert sum(r["n"] for r in reasons(run, name)) == 12 and reasons(run, name)[0]["reason"] == "success"
+    command = said.splitlines()[-1].removeprefix("One of them: r2h-batch ")
+    assert main(command.split()) == 0 and "plan fails" in capsys.readouterr().out
+    assert main(["why", str(run.folder), "--method", "m"]) == 0
+    one = capsys.readouterr().out
+    assert "| n " not in one and "| m " in one and "invalid sim" in one
+    assert main(["why", str(run.folder), "--method", "k"]) == 2 and "no method 'k'" in capsys.readouterr().err
+
+
+def test_many_reasons_are_cut_to_the_most_frequent_and_a_method_of_successes_has_no_command(tmp_path, capsys):
+    run = write_run(tmp_path / "run", {f"m{k}": OUTCOMES for k in range(4)} | {"good": np.zeros(12, int)}, 6, 6)
+    every = sum(len(reasons(run, method)) for method in run.methods)
+    assert main(["why", str(run.folder)]) == 0
+    said = capsys.readouterr().out
+    assert len(said.splitlines()) <= MOST_LINES and f"{every - MOST} rarer reasons are left out" in said
+    assert all(f"| {method} " in said for method in run.methods)
+    assert main(["why", str(run.folder), "--method", "good"]) == 0
+    assert "r2h-batch why" not in capsys.readouterr().out
 
 
 def test_the_command_prints_every_method_or_one(run, capsys):
