@@ -258,6 +258,36 @@ def test_no_overlap_is_said_to_be_deeper_than_it_is(judged):
     assert len(rows) == 24 and len(kinds) >= 3 and np.median(ratio) > 0.2, (len(rows), kinds, np.median(ratio))
 
 
+def test_of_branches_that_all_collide_the_goal_is_the_one_that_overlaps_least():
+    """Targets around the base, where the gripper or what it holds is in the arm or in the table: each branch asked alone."""
+    scene, n = default_evaluator().scene, 192
+    b = make_batch(scene, n, seed=5)
+    T_obj_ee, T_world_ee, away = (
+        se3.orthonormalise(T).contiguous() for T in (b.T_obj_ee, b.T_world_ee, b.trials.T_world_hand)
+    )
+    rng = np.random.default_rng(5)
+    turn, r, z = rng.uniform([0, 0.1, 0], [2 * np.pi, 0.3, 0.5], (n, 3)).T
+    T_world_ee[:, :3, 3] = torch.from_numpy(np.stack([r * np.cos(turn), r * np.sin(turn), z], 1))
+    away[:, 2, 3] += 3.0  # no hand is near
+    grasp, ik = close_gripper(scene.grasp_tables, T_obj_ee, b.trials.object_index), solve_ik(T_world_ee)
+    attached = attach(T_obj_ee, grasp.shift_m)
+    body_poses = scene.body_poses(b.trials.object_index, b.trials.hand_index, attached, away, grasp.opening_m)
+
+    def goal_of(branches: torch.Tensor) -> Goal:
+        everywhere = torch.ones(n, dtype=torch.bool)
+        return judge_goals(scene, body_poses, T_world_ee, ik, branches, everywhere, from_home=False)
+
+    goal = goal_of(ik.valid)
+    alone = [goal_of(ik.valid & (torch.arange(8) == k)).clearance_m for k in range(8)]
+    clearance = torch.where(ik.valid, torch.stack(alone, 1), -torch.inf)
+    least, rows = clearance.amax(1), goal.reason == int(PlanReason.IK_IN_COLLISION)
+    torch.testing.assert_close(goal.clearance_m[rows], least[rows], atol=1.1e-5, rtol=0)  # ties: the first
+    first = clearance.gather(1, ik.valid.int().argmax(1, keepdim=True)).flatten()
+    later = rows & (least > first + 1e-4)
+    own = torch.isin(goal.nearest_pair, torch.tensor([int(CollidingPair.SELF), int(CollidingPair.OBJECT_ROBOT)]))
+    assert (later & own).sum() > 10 and (later & ~own).any()
+
+
 def test_the_witness_says_how_the_clearance_changes_when_the_hand_moves(judged):
     """0.1 mm along the push, away from the other body: the clearance grows by |push| times that."""
     goal = judged.goal

@@ -295,6 +295,17 @@ def test_a_margin_says_whether_it_is_a_distance_a_bound_or_a_cap():
     assert (p.margin_kind[:, PLAN] == bound).any() and (p.margin_kind[:, SAFE] == bound).any()
 
 
+def test_a_clearance_is_a_bound_below_0_and_no_length_from_its_cap_on_or_where_it_is_minus_infinity():
+    least = torch.finfo(torch.float32).min
+    number = torch.tensor([-torch.inf, least, -0.001, 0.0, 0.0499, 0.05, 1.0, torch.inf])
+    held = SimpleNamespace(active=number > -1, grasp=SimpleNamespace(width_m=number, opening_m=number, shift_m=number))
+    everywhere, (distance, bound, cap) = torch.ones(8, dtype=torch.bool), list(MarginKind)[1:]
+    for to, expected in ((0.05, [cap, bound, bound, distance, distance, cap, cap, cap]), (0.0, [distance] * 8)):
+        criteria = [metrics.Criterion(number, everywhere, cap=to) for _ in CRITERIA]
+        found = verdict(REGISTRY, criteria, held, None)["margin_kind"]  # type: ignore[arg-type]
+        assert all(column.tolist() == expected for column in found.T), to
+
+
 def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overlap_of_a_gap():
     distance = torch.tensor([0.03, 0.001, 0.0, -0.001, -0.03, torch.nan])
     found = bound_with_slack(distance, torch.full_like(distance, 0.002))
