@@ -1,7 +1,7 @@
 """Methods on meshes of yours, beside Table I: docs/results/questions.md.
 
-`python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder (r2h-v2's people, motion as planned), keeps
-the rows in bench/options/SET and the figures in bench/results/SET.json. It fetches nothing.
+`python bench/scans.py FOLDER --about bench/SET.toml` sweeps the meshes of a folder on r2h-v2 and on fewer trials of r2h-v3
+(motion as planned), keeps the rows in bench/options/SET and SET-v3 and the figures in bench/results/SET.json. It fetches nothing.
 NAME.yaml beside NAME.obj says what a mesh does not (docs/your_data.md); where there is none, the file of --about says a mesh's
 region, and whose it is. Meshes without a region are of S0. Then `python bench/figures.py --write` writes the page.
 """
@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,8 +50,9 @@ WORDS = {
 AREAS: dict[str, Contacts] = {"contact": "left-out", UNSEEN: "other-categories"}
 COPIED = Path("runs/scans-objects")
 """The meshes of the sweep, relative to the checkout: no row says where on a machine a folder lies."""
-FLAGS = ("--benchmark", "r2h-v2", "--execute.sim", "none", "--no-poses")
+FLAGS = ("--execute.sim", "none", "--no-poses")
 TRIALS = 180
+TRIALS_V3 = 60
 
 
 def copied(folder: Path, about: Mapping[str, Any]) -> Path:
@@ -93,9 +94,10 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     about = tomllib.loads(options.about.read_text("utf-8"))
     os.chdir(ROOT)
     place, words = copied(folder, about), options.methods
-    rows = kept_rows(options.about.stem, words, "--trials", options.trials, *FLAGS, "--objects", place)
+    name, more = options.about.stem, (*FLAGS, "--objects", place)
+    rows = kept_rows(name, words, "--benchmark", "r2h-v2", "--trials", options.trials, *more)
+    rows_v3 = kept_rows(f"{name}-v3", words, "--benchmark", "r2h-v3", "--trials", options.trials_v3, *more)
     run = load_run(rows)
-    found = rates_of(rows, words)
     names = {e.name: word for e, word in zip(run.entries, words, strict=True)}
     objects = [
         {"name": o["name"], "split": o["split"], "digest": o["digest"]}
@@ -107,17 +109,25 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
         areas = {w: region_areas(contacts, str(place)) for w, contacts in AREAS.items() if w in words}
     return {
         "trials": options.trials,
+        "trials_v3": options.trials_v3,
         "origin": {k: about[k] for k in ("title", "source", "made") if k in about},
         "objects": objects,
-        "rates": {word: {split: counted(row) for split, row in own.items()} for word, own in found.items()},
+        "rates": counted(rows, words),
+        "rates_v3": counted(rows_v3, words),
         "by_object": {names[m]: by_object(run.trials(m, ["object", "outcome"]).to_pylist()) for m in run.methods},
         "areas": areas,
     }
 
 
-def counted(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Rates of a line of the table, with their intervals, without times."""
-    return {k: v for k, v in row.items() if k == "n" or k.startswith(("sr", "f_"))}
+def counted(rows: Path, words: Sequence[str]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Word of the sweep -> split -> rates of its line of the table, with their intervals, without times."""
+    return {
+        word: {
+            split: {k: v for k, v in row.items() if k == "n" or k.startswith(("sr", "f_"))}
+            for split, row in own.items()
+        }
+        for word, own in rates_of(rows, words).items()
+    }
 
 
 def by_object(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
@@ -158,24 +168,11 @@ def table_one() -> dict[str, dict[str, str]]:
 ENDS = ("sr_new_categories_low", "sr_new_categories_high")
 
 
-def from_best(sr: Mapping[str, float]) -> str:
-    """Names of the methods but the bounds, from the best one to the worst."""
-    places = sorted((w for w in sr if w not in ("random", "oracle", UNSEEN)), key=lambda w: (-sr[w], w))
-    return ", ".join(WORDS[w] for w in places)
-
-
-def order(data: Mapping[str, Any]) -> dict[str, str]:
-    """Split -> the order of the four methods here and in Table I."""
-    import families
-
-    rows = json.loads(families.STORED.read_text())["table"]["rows"]
-    known = {name: word for word, name in WORDS.items()}
-    found = {}
-    for split in ("S0", "S1"):
-        here = {w: r[split]["sr"] for w, r in data["rates"].items() if split in r}
-        there = {known[m]: r["sr"] for r in rows if r["split"] == split and (m := families.short(r["method"])) in known}
-        found[split] = f"{from_best(here)} (Table I: {from_best(there)})"
-    return found
+def of_all(rates: Mapping[str, Any] | None) -> str:
+    """SR with its interval for the mean of all categories."""
+    if rates is None:
+        return "-"
+    return f"{rates['sr']:.1f} ({rates[ENDS[0]]:.1f}-{rates[ENDS[1]]:.1f})"
 
 
 def shown(_: Mapping[str, Any]) -> dict[str, Any]:
@@ -190,21 +187,22 @@ def tables(data: Mapping[str, Any]) -> dict[str, Any]:
     lines = [
         [
             WORDS[word],
-            *(cell for split in ("S0", "S1") for cell in (known[word][split], own(rates.get(split)))),
+            *(
+                cell
+                for split in ("S0", "S1")
+                for cell in (known[word][split], own(rates.get(split)), of_all(data["rates_v3"][word].get(split)))
+            ),
             f"{np.mean([*areas[word].values()]):.2f}" if word in areas else "",
         ]
         for word, rates in data["rates"].items()
     ]
-    many = {split: sum(o["split"] == split for o in data["objects"]) for split in ("S0", "S1")}
+    heads = [f"{split}, {of}" for split in ("S0", "S1") for of in ("Table I", "own meshes", "own, r2h-v3")]
     return {
         "number": len(data["objects"]),
         "commit": data["commit"],
         "trials": data["trials"],
-        **{f"of_each_{split.lower()}": round(data["trials"] / max(1, n)) for split, n in many.items()},
-        "table": markdown_table(
-            ["", "S0, Table I", "S0, own meshes", "S1, Table I", "S1, own meshes", "region AUC"], lines
-        ),
-        **{f"order_{split.lower()}": words for split, words in order(data).items()},
+        "trials_v3": data["trials_v3"],
+        "table": markdown_table(["", *heads, "region AUC"], lines),
     }
 
 
@@ -220,7 +218,8 @@ BENCH = Bench(
     {
         "folder": {"type": Path, "help": "of meshes"},
         "--about": {"type": Path, "help": "bench/SET.toml: whose the meshes are, and their regions"},
-        "--trials": {"default": TRIALS, "help": "of each split"},
+        "--trials": {"default": TRIALS, "help": "of each split of r2h-v2"},
+        "--trials-v3": {"default": TRIALS_V3, "help": "of each split of r2h-v3"},
         "--methods": {"default": [*WORDS], "choices": WORDS},
     },
     peer="Table I, the same people and the same configuration",

@@ -25,7 +25,7 @@ COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
     "long": "bench/soak.py long",
-    "r2h_v3": "bench/r2h_v3.py --trials 500 --seen-trials 500 --checked 10 --rows",
+    "r2h_v3": "bench/r2h_v3.py --trials 500 --seen-trials 500 --checked 30 --rows",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",
     "release": "bench/release.py --release CHECKOUT",
