@@ -53,6 +53,14 @@ def _notes(comparisons: Sequence[Comparison]) -> list[str]:
     return [note.format(*words, few) for note in NOTES]
 
 
+def _crowded(pairs: Sequence[Pair]) -> list[str]:
+    """A note where Holm's correction decides a verdict: in a table of fewer pairs it is another one."""
+    if n := sum(pair.alone != pair.verdict for pair in pairs):
+        of = f"{n} of {len(pairs)} pairs read otherwise"
+        return [f"{of} if compared alone (--method A B), as Holm corrects for all."]
+    return []
+
+
 def _new(comparison: Comparison) -> str:
     return "cat." if comparison.new == "categories" else "obj."
 
@@ -223,7 +231,7 @@ def brief(
     kind = "categories" if whole.new == "categories" else "objects"
     words = few_notes(
         f"95 %, p new: the mean of all {kind} (p: Holm corrected). better, worse: p new < {ALPHA}.",
-        notes,
+        [*_crowded(whole.pairs), *notes],
         f"{rest}each split, ranks, shares, p here: {more}",
     )
     title = f"{trials}, paired on the trial id; A-B: difference of SR in points."
@@ -252,8 +260,9 @@ def _md(
         if c.rank is not None:
             parts.append(_ranks(c, shown, reads))
     columns = "A-B: difference of SR in points. #1: how often a method has that rank."
-    words = notes_list([*map(plain, legend(short)), *notes, columns, *_notes(comparisons)])
-    return document([*parts, _shares(shares), words])
+    crowded = _crowded([pair for c in comparisons for pair in c.pairs])
+    words = [*map(plain, legend(short)), *notes, columns, *_notes(comparisons), *crowded]
+    return document([*parts, _shares(shares), notes_list(words)])
 
 
 def _latex(

@@ -146,6 +146,11 @@ class Pair:
     p_new_holm: float | None
     verdict: str
 
+    @property
+    def alone(self) -> str:
+        """What the verdict would be if this pair alone were compared: Holm's correction has nothing to do then."""
+        return _verdict(self.difference, self.p, 1.0 if self.p_new is None else self.p_new)
+
 
 @dataclass(frozen=True)
 class Worst:
@@ -441,11 +446,6 @@ def _compare(
         zip(pairs, holm(p).tolist(), holm(p_new).tolist(), strict=True)
     ):
         difference = 100 * (only[k][0] - only[k][1]) / n
-        word = "better" if difference > 0 else "worse"
-        if adjusted >= ALPHA:
-            word = "tied"
-        elif adjusted_new >= ALPHA:
-            word += " here"
         own = over[k]
         low, high = _ends(own, only[k], n, None)
         few_low, few_high = _ends(own, only[k], n, few)
@@ -455,7 +455,8 @@ def _compare(
                 low=low, high=high, few_low=few_low, few_high=few_high,
                 only_a=only[k][0], only_b=only[k][1],
                 p=p[k], p_holm=adjusted, p_new=known[k],
-                p_new_holm=None if own is None else adjusted_new, verdict=word,
+                p_new_holm=None if own is None else adjusted_new,
+                verdict=_verdict(difference, adjusted, adjusted_new),
             )
         )  # fmt: skip
     rates = tuple(float(100 * (hits / n)) for hits in paired.hits[splits].sum((0, 2)))
@@ -468,6 +469,14 @@ def _compare(
     return Comparison(
         group, n, names, rates, tuple(lines), ranked, rank, worst, categories, int(asked.sum()), few
     )
+
+
+def _verdict(difference: float, p: float, p_new: float) -> str:
+    """What a method with this difference to another one is."""
+    if p >= ALPHA:
+        return "tied"
+    word = "better" if difference > 0 else "worse"
+    return word if p_new < ALPHA else f"{word} here"
 
 
 def _over_categories(

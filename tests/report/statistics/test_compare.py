@@ -12,6 +12,7 @@ from scipy import stats
 from statsmodels.stats.contingency_tables import mcnemar as reference_mcnemar
 from statsmodels.stats.multitest import multipletests
 
+from r2h_batch.report.compare import text as text_of
 from r2h_batch.report.statistics import intervals
 from r2h_batch.report.statistics import paired as pairing
 from r2h_batch.report.statistics.common import common_trials
@@ -141,9 +142,14 @@ def test_a_pair_that_alone_is_better_is_better_here_among_many():
     rate = np.concatenate([rate, rate.mean(0) + random.normal(0, 0.2, (3, 10))]).clip(0, 1)
     success = (random.random((5, 10, 60)) < rate[:, :, None]).reshape(5, -1)
     objects = np.repeat(np.arange(10), 60)
-    (alone,) = pairing.compare(paired(success[:2], objects), draws=1)[0].pairs
-    among = pairing.compare(paired(success, objects), draws=1)[0].pairs[0]
+    two, five = (pairing.compare(paired(own, objects), draws=2) for own in (success[:2], success))
+    (alone,), among = two[0].pairs, five[0].pairs[0]
     assert alone.verdict == "better" and among.verdict == "better here"
+    assert among.alone == alone.alone == "better"
+    other = sum(p.alone != p.verdict for p in five[0].pairs)
+    for text in (text_of.brief, text_of.render):  # a reader of both tables is told why
+        assert f"{other} of 10 pairs read otherwise if compared alone (--method A B), as Holm corrects" in text(five)
+        assert "compared alone" not in text(two)
     assert (alone.low, alone.high, alone.p_new) == (among.low, among.high, among.p_new) and among.low > 0
 
 
