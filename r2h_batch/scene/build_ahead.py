@@ -20,6 +20,7 @@ from typing import Any
 from r2h_batch.base.io.cache import cache_folder
 from r2h_batch.base.io.child import end_with
 from r2h_batch.base.io.log import LOG
+from r2h_batch.scene.mesh_import.limits import REPAIRED
 from r2h_batch.scene.objects import build_object, is_built
 
 
@@ -66,11 +67,14 @@ def work() -> None:
     """Build what stdin names."""
     end_with(int(sys.argv[1]))
     for call in json.load(sys.stdin):
-        # both come again where the object is asked for
-        with warnings.catch_warnings(), contextlib.suppress(Exception):
-            warnings.simplefilter("ignore")
+        # errors and warnings come again where the object is asked for, but for a repair
+        with warnings.catch_warnings(record=True) as caught, contextlib.suppress(Exception):
+            warnings.simplefilter("always")
             build_object(**call)
             LOG.info(f"built {Path(call['mesh']).name}")
+        for text in (str(w.message) for w in caught):
+            if REPAIRED in text:
+                LOG.info(text)
 
 
 if __name__ == "__main__":

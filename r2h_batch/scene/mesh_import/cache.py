@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.base.io.read import read_file
-from r2h_batch.scene.mesh_import.limits import MOST_BYTES
+from r2h_batch.scene.mesh_import.limits import MOST_BYTES, REPAIRED
 
 CODE = (
     *(
@@ -88,12 +88,16 @@ def kept_with_warnings(
     reads: Callable[[dict[str, NDArray[Any]]], object],
 ) -> dict[str, NDArray[Any]]:
     """The arrays of a key, and the warnings that making them gave: again each time they are taken
-    from disk.
+    from disk, but for a repair. That is said where it is made.
 
     `reads` raises where arrays of the right form are not an object.
     """
 
+    new = False
+
     def made() -> dict[str, NDArray[Any]]:
+        nonlocal new
+        new = True
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             found = {k: np.asarray(v) for k, v in make().items()}
@@ -105,7 +109,8 @@ def kept_with_warnings(
 
     arrays = cached("objects", key, made, FORM, reads=read)
     for text in _texts(arrays.pop(SAID)):
-        warnings.warn(text, stacklevel=4)
+        if new or REPAIRED not in text:
+            warnings.warn(text, stacklevel=4)
     return arrays
 
 

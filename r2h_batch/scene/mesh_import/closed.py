@@ -21,6 +21,7 @@ from r2h_batch.scene.mesh_import.file import load_mesh_file
 from r2h_batch.scene.mesh_import.limits import (
     MOST_BODIES,
     MOST_GIVEN_FACES,
+    REPAIRED,
     THINNEST_M,
     Budget,
     ObjectMeshError,
@@ -169,7 +170,7 @@ def closed_mesh(source: str | Path | trimesh.Trimesh, label: str, scale: float) 
     given = trimesh.Trimesh(vertices, faces, process=False)
     repair = _change(given, mesh, tuple(done), same)
     if done:
-        warnings.warn(f"{label}: mesh repaired: {repair.text}", stacklevel=4)
+        warnings.warn(f"{label}: {REPAIRED}{repair.text}", stacklevel=4)
     if far := _separate_bodies(mesh, budget):
         sides = ", ".join(f"{s:.3g}" for s in far[:5]) + (", ..." if len(far) > 5 else "")
         warnings.warn(

@@ -13,6 +13,8 @@ MOST_BYTES = 1 << 30
 MOST_GIVEN_FACES = 5_000_000
 MOST_BODIES = 1000
 """Bodies that do not touch: more are a cloud of triangles, no object."""
+REPAIRED = "mesh repaired: "
+"""Begins what is said of a repair, once: when it is made."""
 MOST_SECONDS = 60.0
 """CPU seconds for reading a file, and again for repairing what was in it."""
 SILENT_SECONDS = 5.0
