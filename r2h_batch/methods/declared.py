@@ -12,8 +12,8 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 def method(*, reads: str) -> Callable[[Function], Function]:
     """Declare what a method reads, for the column *Reads* of every table.
 
-    Without it a sweep goes by the function's arguments: `(seen)` reads cameras, one that takes `evaluator` the judge, one that
-    takes `noise` or `seen` estimates, any other one the scene.
+    Without it a sweep goes by what the function is given: `(seen)` reads cameras, one that takes `evaluator` the judge, any
+    other one the scene, also one that takes `noise` or `seen`: the scene has the true region.
 
     Args:
         reads: scene, estimates, cloud, cameras or judge (`base.registry.READS`).

@@ -21,6 +21,9 @@ from r2h_batch.strangers import Ended, stranger
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import MOST_SECONDS, SIDES
 
+NAMED = 3
+"""Objects that a line names."""
+
 if TYPE_CHECKING:  # a sweep of a user's method needs no kernels of grasps and holds
     from r2h_batch.methods.predictors import Observations
     from r2h_batch.scene.scene import Scene
@@ -197,6 +200,23 @@ def coverage_of(
                 )
             answers[i, side] = False
     return MethodCoverage(answers, scene.hands.set.side.cpu().long(), tuple(lines))
+
+
+def guessed_contacts(name: str, sees: Sequence[str], scene: "Scene") -> tuple[str, ...]:
+    """A line where a method's built-in network of contacts is asked about objects unlike all that it learned from."""
+    if "contacts" not in sees:
+        return ()
+    from r2h_batch.methods.predictors.contacts import never_seen
+    from r2h_batch.methods.predictors.unseen import LEFT_OUT
+
+    if not (unlike := never_seen(scene)):
+        return ()
+    more = f" and {len(unlike) - NAMED} more" if len(unlike) > NAMED else ""
+    known = ", ".join(sorted(category for group in LEFT_OUT for category in group))
+    return (
+        f"{name}: its network of contacts learned from 16 categories ({known}), and {', '.join(unlike[:NAMED])}{more} may be of"
+        " none of them: its contacts are a guess there; --predicted-contacts FILE or --predictor FILE gives yours",
+    )
 
 
 _OF_DEVICE = re.compile(

@@ -32,7 +32,13 @@ from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
 from r2h_batch.scene.person import PIECES
 from r2h_batch.strangers import Ended, stranger, words_of
-from r2h_batch.sweep.answers import answer_of, check_grasps, coverage_of, why_no_cuda
+from r2h_batch.sweep.answers import (
+    answer_of,
+    check_grasps,
+    coverage_of,
+    guessed_contacts,
+    why_no_cuda,
+)
 from r2h_batch.sweep.options import SEEN_BY, base_of, options_of, own_name, text_of_options
 from r2h_batch.sweep.request import Sweep
 from r2h_batch.trials.benchmark import Benchmark
@@ -454,7 +460,7 @@ def _signature(function: Any) -> inspect.Signature:
 
 
 def method_reads(argument: str, *, seeing: bool = False) -> str:
-    """What a method may read, a word of `READS`: what its arguments are, or what it declares where they allow it.
+    """What a method may read, a word of `READS`: what its arguments give it, or what it declares where they allow it.
 
     Args:
         argument: of `--method`.
@@ -468,7 +474,9 @@ def method_reads(argument: str, *, seeing: bool = False) -> str:
     declared = getattr(method.found.function, "reads", "")
     if isinstance(declared, str) and declared in READS:
         return declared
-    return "estimates" if {"noise", "seen"} & method.takes.keys() else "scene"
+    # a function is given the scene, with the true region: that it looks at estimates alone only its author knows
+    given = method.built_in and {"noise", "seen"} & method.takes.keys()
+    return "estimates" if given else "scene"
 
 
 def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
@@ -509,6 +517,8 @@ def _method_job(
     source["sha256"] = provenance.file_digest(files.values())
     if not built_in:
         source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
+    theirs = sweep.predictor or (seen is not None and seen.contacts is not None)
+    guesses = () if theirs else guessed_contacts(name, sees, evaluator.scene)
     if looks is not None:
         from r2h_batch.sweep.seeing import SeeingMethod
 
@@ -516,7 +526,7 @@ def _method_job(
             more = f"; {method_options}" if method_options else ""
             title = f"{getattr(module, 'TITLE', base_of(name))} (seen{more})"
             asked = SeeingMethod.built_in(title, method.found.function, sees, extra, looks)
-            lines: tuple[str, ...] = ()
+            lines = guesses
         else:
             asked = SeeingMethod.apart(title, base_of(name), extra, looks)
             lines = _not_compared(title, method.found.module, files)
@@ -573,7 +583,7 @@ def _method_job(
     def covered(trials: Trials, _: Any) -> Predictions:
         return coverage.answer(trials, answer)
 
-    return Job(title, source, covered, warm=True, lines=coverage.lines)
+    return Job(title, source, covered, warm=True, lines=(*coverage.lines, *guesses))
 
 
 def _not_compared(title: str, module: ModuleType, files: Mapping[str, Path]) -> tuple[str, ...]:

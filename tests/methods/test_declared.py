@@ -28,6 +28,11 @@ def guess(trials, scene, *, noise):
     return rule(trials, scene)
 
 
+@method(reads="estimates")
+def says(trials, scene, *, noise):
+    return rule(trials, scene)
+
+
 def asks(trials, scene, *, evaluator):
     return rule(trials, scene)
 
@@ -45,7 +50,14 @@ def claims(trials, scene, *, evaluator):
 
 @pytest.mark.parametrize(
     ("function", "word"),
-    [("rule", "scene"), ("guess", "estimates"), ("asks", "judge"), ("points", "cloud"), ("claims", "judge")],
+    [
+        ("rule", "scene"),
+        ("guess", "scene"),
+        ("says", "estimates"),
+        ("asks", "judge"),
+        ("points", "cloud"),
+        ("claims", "judge"),
+    ],
 )
 def test_a_function_reads_what_its_arguments_are_or_what_it_declares(function, word, tmp_path):
     (tmp_path / "mine.py").write_text(MINE)

@@ -53,6 +53,10 @@ def test_what_was_found_is_enough_and_the_side_without_holds_fails_that_method_o
         assert sweep(folder, "--benchmark", "r2h-v1", "--method", "random", "contact") == 0
     said = capsys.readouterr().err
     assert said.count("contact: no left hand was found that can hold") == 2 and "random: no " not in said
+    (guess,) = (line for line in said.splitlines() if "network of contacts learned from 16 categories" in line)
+    assert (
+        "contact: " in guess and "and ball, stick may be of none of them" in guess and "--predicted-contacts" in guess
+    )
     ball, stick = load_run(folder / "run").header["objects"]
     assert stick["repair"]["steps"] == ["filled 1 holes"] and "repair" not in ball
     assert stick["repair"]["volume_given_m3"] is None and 0 <= stick["repair"]["moved_m"] < 1e-3

@@ -21,7 +21,7 @@ from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
 from r2h_batch.methods.predictors.external_predictions import Observations
 from r2h_batch.methods.predictors.grid import ContactPredictor, contact_grids, voxel_of_points
 from r2h_batch.methods.predictors.principal_axes import InPrincipalAxes, load_axes_network
-from r2h_batch.methods.predictors.unseen import FromShape, load_unseen
+from r2h_batch.methods.predictors.unseen import LEFT_OUT, FromShape, load_unseen
 from r2h_batch.methods.predictors.voxnet import load_voxnet
 from r2h_batch.scene.arrays import stored_arrays
 from r2h_batch.scene.objects import (
@@ -103,6 +103,15 @@ def _network_for(model: ObjectModel, contacts: Contacts) -> ContactPredictor:
         return load_axes_network()
     model = own
     return load_voxnet(model.name if contacts != "all" and model.name in OBJECT_NAMES else "")
+
+
+def never_seen(scene: Scene) -> list[str]:
+    """Names of the objects of no category that the built-in networks learned from; of an object without a category nobody
+    knows it."""
+    known = {category for group in LEFT_OUT for category in group}
+    return [
+        o.name for o in scene.objects if not o.who.has_frozen_frame and o.who.category not in known
+    ]
 
 
 CODE = (
