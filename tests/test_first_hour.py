@@ -23,7 +23,7 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.parquet import read_parquet_arrays
 from r2h_batch.base.io.tables import read_csv_arrays
-from r2h_batch.methods.candidates import CandidateTable
+from r2h_batch.methods.candidates import CandidateTable, candidate_table
 from r2h_batch.report.table import brief, table_of
 from r2h_batch.runs.store import join, load_run
 from r2h_batch.scene.mesh_import.closed import closed_mesh
@@ -267,6 +267,7 @@ def test_what_a_method_is_given_prints_one_line_each():
     benchmark = load_benchmark("r2h-v0")
     scene = Scene(benchmark)
     things = [scene, *scene.objects, scene.hands, scene.hands.set, scene.hands.model, scene.robot, benchmark.trials(2)]
+    things.append(candidate_table(scene))
     lines = [repr(thing) for thing in things]
     assert all(len(line) < 300 and "\n" not in line for line in lines)
     assert all(o.name in line for o, line in zip(scene.objects, lines[1:], strict=False))

@@ -154,6 +154,10 @@ class CandidateTable:
     count: Int64[Tensor, " o"]
     """rows of each object"""
 
+    def __repr__(self) -> str:  # one line: a dataclass would print its tensors
+        each = "none" if not len(self.count) else f"{int(self.count.min())} to {self.most}"
+        return f"CandidateTable({len(self.score)} grasps of {len(self.count)} objects, {each} each, on {self.score.device})"
+
     @cached_property
     def some_have_none(self) -> bool:
         """Whether some object has no candidate."""

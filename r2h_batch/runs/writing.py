@@ -122,9 +122,7 @@ class RunFolder:
                         self._drop(entry)
                         self.register(method, source)
                         return True
-                    words = f"already holds {method!r}, {_changed(other, source)}"
-                    how = f"add --overwrite to judge it anew in their place, or {OTHER_OUT}"
-                    raise RunError(f"{self.folder}: {words}; {how}")
+                    raise _from_another(entry, other, source)
                 self.entries[method] = entry
                 return False
         raise AssertionError("one of two names of a file is free or the method's own")
@@ -211,6 +209,32 @@ class RunFolder:
         won = write_shard(place, self.header, method, shard, tables, seconds)
         drop_set_aside(place, shard.index)
         return won
+
+
+def check_files(folder: Path, method: str, source: Mapping[str, str]) -> None:
+    """Refuse a method whose files are not those of its rows in a folder, as `RunFolder.register` does once all is prepared.
+
+    Args:
+        folder: a run folder, or where one will be.
+        method: its name.
+        source: its files, and what else is known of its source before a scene is prepared.
+
+    Raises:
+        RunError: a file has changed, come or gone.
+    """
+    if not (folder / "run.json").exists():
+        return
+    header = read_header(folder)
+    for entry in (e for e in read_methods(folder, header) if e.name == method):
+        keys = {k: None for k in entry.source if k.startswith("file ")} | dict.fromkeys(source)
+        if other := [k for k in keys if entry.source.get(k) != source.get(k)]:
+            raise _from_another(entry, other, source)
+
+
+def _from_another(entry: Entry, keys: Sequence[str], source: Mapping[str, Any]) -> RunError:
+    words = f"already holds {entry.name!r}, {_changed(keys, source)}"
+    how = f"add --overwrite to judge it anew in their place, or {OTHER_OUT}"
+    return RunError(f"{entry.folder}: {words}; {how}")
 
 
 def _changed(keys: Sequence[str], source: Mapping[str, Any]) -> str:

@@ -30,6 +30,7 @@ from r2h_batch.base.validate import describe_value
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
+from r2h_batch.runs.writing import check_files
 from r2h_batch.scene.person import PIECES
 from r2h_batch.strangers import Ended, stranger, words_of
 from r2h_batch.sweep.answers import (
@@ -387,8 +388,8 @@ class _Method:
 
 
 def resolve(sweep: Sweep) -> None:
-    """Raises `UsageError` or `ValueError` for a --method, --policy or --predictor that is not there, before
-    anything slow starts."""
+    """Raises `UsageError` or `ValueError` for a --method, --policy or --predictor that is not there, or a method whose files are
+    not those of its rows, before anything slow starts."""
     if (loop := sweep.loop) is not None:
         from r2h_batch.closed_loop.episodes import policy_of
 
@@ -402,7 +403,10 @@ def resolve(sweep: Sweep) -> None:
                 name
             ]  # one of a package is looked at, and the package named where it cannot be had
     for name in sweep.names:
-        _method(name, seeing=sweep.seeing is not None)
+        method = _method(name, seeing=sweep.seeing is not None)
+        if not method.built_in and not sweep.overwrite:
+            made_of = _made_of(name, method, _files(name, method))
+            check_files(Path(sweep.out), _title(name, method), made_of)
     if sweep.predictor and "predicted_contacts" in sweep.seen:
         raise UsageError("--predictor and --predicted-contacts both say the contacts; give one")
     if sweep.predictor:
@@ -483,6 +487,33 @@ def _takes_seed(parameters: Mapping[str, inspect.Parameter]) -> bool:
     return "seed" in parameters or any(p.kind is p.VAR_KEYWORD for p in parameters.values())
 
 
+def _title(name: str, method: _Method) -> str:
+    """What tables call a method, of a built-in one before its predictors are known."""
+    base = own_name(name) or (base_of(name) if method.built_in else method.found.spec)
+    options = text_of_options(name)
+    return f"{base} ({options})" if options and not own_name(name) else base
+
+
+def _files(name: str, method: _Method) -> dict[str, Path]:
+    """The files that decide a method's answers: modules, `METHOD_FILES`, and files that its options name."""
+    if method.built_in:
+        named = (method.options.get(k) for k in METHODS[base_of(name)].files)
+        return {"": Path(str(method.found.module.__file__))} | {str(v): Path(v) for v in named if v}
+    texts = [v for v in method.options.values() if isinstance(v, str)]
+    return method.found.files() | {v: Path(v) for v in texts if Path(v).is_file()}
+
+
+def _made_of(name: str, method: _Method, files: Mapping[str, Path]) -> dict[str, str]:
+    """What a method's source says of its options, its package and these files of its."""
+    options, package = text_of_options(name), package_of_method(method.found.spec)
+    source = {"options": options} if options else {}
+    source |= {"package": package} if package else {}
+    source["sha256"] = provenance.file_digest(files.values())
+    if not method.built_in:
+        source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
+    return source
+
+
 def _method_job(
     name: str,
     evaluator: "Evaluator",
@@ -498,25 +529,12 @@ def _method_job(
         extra["evaluator"] = evaluator
     if _takes_seed(takes):
         extra["seed"] = sweep.seed
-    base = own_name(name) or (base_of(name) if built_in else method.found.spec)
-    title = f"{base} ({method_options})" if method_options and not own_name(name) else base
+    title, files = _title(name, method), _files(name, method)
     source = {"kind": "method", "function": method.found.spec}
     source["reads"] = method_reads(name, seeing=sweep.seeing is not None)
     if told := _trained_on(name, method, evaluator):
         source[TRAINED_ON] = told
-    if method_options:
-        source["options"] = method_options
-    if built_in:
-        named = (method.options.get(k) for k in METHODS[base_of(name)].files)
-        files = {"": Path(str(module.__file__))} | {str(v): Path(v) for v in named if v}
-    else:  # modules, `METHOD_FILES`, and files that its options name
-        texts = [v for v in method.options.values() if isinstance(v, str)]
-        files = method.found.files() | {v: Path(v) for v in texts if Path(v).is_file()}
-    if package := package_of_method(method.found.spec):
-        source["package"] = package
-    source["sha256"] = provenance.file_digest(files.values())
-    if not built_in:
-        source |= {f"file {k}": provenance.file_digest([p]) for k, p in files.items()}
+    source |= _made_of(name, method, files)
     theirs = sweep.predictor or (seen is not None and seen.contacts is not None)
     guesses = () if theirs else guessed_contacts(name, sees, evaluator.scene)
     if looks is not None:

@@ -73,11 +73,15 @@ def test_a_method_is_its_module_what_that_imports_and_the_files_that_it_names(pl
 
 
 @pytest.mark.parametrize("changed", ["id_package/layers.py", "id_later.py", "data/a.txt", "table.csv"])
-def test_a_resume_after_a_change_of_any_of_them_is_refused_by_the_name_of_the_file(place, capsys, changed):
+def test_a_resume_after_a_change_of_any_of_them_is_refused_by_the_name_of_the_file_before_a_scene_is_prepared(
+    place, capsys, changed, monkeypatch
+):
     assert run() == 0
     (place / changed).write_text("# other\n")
     capsys.readouterr()
-    assert run() == 2
+    with monkeypatch.context() as nothing_slow:
+        nothing_slow.setattr(jobs, "set_up", None)
+        assert run() == 2
     name = changed.removesuffix(".py").replace("/", ".") if changed.endswith(".py") else changed
     said = f"already holds 'id_method:predict (table=table.csv)', and {name} changed since; add --overwrite"
     assert said in capsys.readouterr().err
