@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 SETUP := $(VENV)/.installed
 
-.PHONY: help demo test test-all test-touched alone lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
+.PHONY: help demo test test-all test-touched alone beside lint check quick-tests stale golden tables docs assets bench watch wheel lock licences audit gpu clean
 
 help:  ## this list
 	@sed -n 's/^\([a-z-]*\):[^#]*##  *\(.*\)/make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 16
@@ -14,22 +14,31 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 
 # Two processes, each with one thread of torch and BLAS: more threads than cores only wait for each other.
 # And two goes, because a process that runs all tests grows to 9 GB. Where a process is killed the run ends: xdist would wait for ever.
-FIRST_GO := $(addprefix tests/,judge kernels methods observe trials training)
-SECOND_GO := tests $(addprefix --ignore=,$(FIRST_GO))
-TOGETHER := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q -n 2 --dist loadfile --max-worker-restart 0 --durations=25
+# Files come in their order: xdist begins with those of many tests, and two long tests of a short file would come last.
+BESIDE := $(addprefix tests/,kernels report)
+FIRST_GO := $(addprefix tests/,judge methods observe trials training)
+SECOND_GO := tests $(addprefix --ignore=,$(BESIDE) $(FIRST_GO))
+ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
+EVERY_DAY := -m "not slow and not gpu and not whole and not alone"
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q --durations=25
+TOGETHER := $(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+unexport PYTHONDONTWRITEBYTECODE  # else each of these processes compiles package and tests anew
 
 test: $(VENV)/.installed-test  ## linters, types, and the tests of every day; tells what was left out and how to get it
-	@$(MAKE) --no-print-directory -j2 --output-sync=target lint alone  # each keeps one core busy, and neither the other
-	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(FIRST_GO)
-	$(TOGETHER) -m "not slow and not gpu and not whole and not alone" $(SECOND_GO)
+	@$(MAKE) --no-print-directory -j2 --output-sync=target beside alone  # each keeps one core busy, and neither the other
+	$(TOGETHER) $(EVERY_DAY) $(FIRST_GO)
+	$(TOGETHER) $(EVERY_DAY) $(SECOND_GO)
 
 alone: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole"
+	$(BIN)/python -m pytest -q --durations=25 -m "alone and not slow and not gpu and not whole" $(ALONE)
+
+beside: lint  # linters, and tests for as long as `alone` takes
+	$(PYTEST) $(EVERY_DAY) $(BESIDE)
 
 test-all: lint  ## every test that needs no GPU: before a release
-	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone" $(FIRST_GO)
+	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone" $(BESIDE) $(FIRST_GO)
 	$(TOGETHER) -o faulthandler_timeout=0 -m "not gpu and not alone" $(SECOND_GO)
-	$(BIN)/python -m pytest -q -o faulthandler_timeout=0 -m "alone and not gpu"
+	$(BIN)/python -m pytest -q -o faulthandler_timeout=0 -m "alone and not gpu" $(ALONE)
 
 test-touched: $(VENV)/.installed-test  ## of test-all beyond test, the parts whose sources a change touches (tests/touched.tsv)
 	parts=$$($(BIN)/python tools/touched.py) && if [ -n "$$parts" ]; then $(TOGETHER) -m "$$parts"; fi
