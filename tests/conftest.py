@@ -66,7 +66,9 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
     if left_out["slow"]:
         skipped["time: whole counts, minutes to hours: python -m pytest -m slow"] += left_out["slow"]
     if left_out["whole"]:
-        skipped["time: all pages, the site, golden of all benchmarks: python -m pytest -m whole"] += left_out["whole"]
+        skipped[
+            "time: all pages, the site, golden of all benchmarks, the longest of each room: python -m pytest -m whole"
+        ] += left_out["whole"]
     own = f"{sys.version_info[0]}.{sys.version_info[1]}"
     others = [v for v in INTERPRETERS if v != own]
     if not skipped:

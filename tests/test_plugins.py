@@ -163,6 +163,7 @@ else:
 """
 
 
+@pytest.mark.whole(part="changes")
 def test_methods_and_policies_of_a_package_are_named_listed_swept_and_hinted_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -232,6 +233,7 @@ def stands(e):
 """
 
 
+@pytest.mark.whole(part="changes")
 def test_a_stranger_writes_presented_the_heads_clearance_and_upright_with_our_verdicts(tmp_path: Path) -> None:
     points = "".join(f"criterion.{name.lower()} = handed:{name}\n" for name in ("FIRST", "FACE", "STANDS"))
     installed(tmp_path, "handed", points, HANDED)

@@ -71,7 +71,7 @@ def test_the_rates_of_r2h_v3_are_those_of_its_rows_and_both_are_of_one_commit(pa
 @pytest.mark.parametrize(
     ("part", "n"),
     [
-        ("methods", 1),
+        pytest.param("methods", 1, marks=pytest.mark.whole(part="golden")),
         pytest.param("methods", 40, marks=pytest.mark.slow),
         pytest.param("seen", 20, marks=pytest.mark.slow),
     ],

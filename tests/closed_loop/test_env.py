@@ -39,7 +39,8 @@ from r2h_batch.verdicts import CRITERIA
 
 ON_LINE_RAD = 2e-6
 HandoverEnv = partial(envs.HandoverEnv, output="torch")
-ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
+SEVEN_JOINTS = pytest.param("panda_hand", marks=pytest.mark.whole(part="closed_loop"))
+ROBOTS = pytest.mark.parametrize("robot", ["ur5e_2f85", SEVEN_JOINTS])
 
 
 @cache
@@ -140,7 +141,7 @@ def test_the_planned_motion_beside_a_still_hand_has_todays_verdicts_bit_for_bit(
     assert (again.margin[:, 2] - scores.margin[found, 2]).abs().max() < 2e-5  # Reach: the pose by FK, not as asked
 
 
-@ROBOTS
+@pytest.mark.parametrize("robot", ["ur5e_2f85", "panda_hand"])
 def test_kinematics_are_mujocos_and_the_jacobian_is_the_derivative(robot):
     robot, random = load_robot(robot), np.random.default_rng(1)
     n = len(robot.joints)
@@ -305,6 +306,7 @@ def test_contacts_say_who_moved(scores):
     assert touched.sum() >= 5 and not e.robot_touched[touched].any() and (e.robot_idle[touched] == 1).all()
 
 
+@pytest.mark.whole(part="closed_loop")
 def test_policies_that_follow_the_hand_keep_off_table_robot_and_object(scores, monkeypatch):
     """Hands that go far away and low: without the look at its next step the servo drives on."""
     far, low = ReceiverMotion("moves", 0.25, 40.0, seed=1), scores[torch.tensor([3, 6, 7, 12, 15])]
@@ -515,6 +517,7 @@ def test_actions_pass_the_checks_of_score_and_a_step_before_reset_is_named(score
             copy_of(env)
 
 
+@pytest.mark.whole(part="closed_loop")
 def test_each_row_plays_with_its_own_seed_as_where_all_rows_have_it(scores):
     """Frames, drop-outs and the motion: receivers wait for 2 to 6 s."""
     some, seeds = scores[scores.success][:3], [5, 2**40 + 5, 6]
@@ -594,6 +597,7 @@ def sent(env, T_world_hand):
     env._take(rows, Taken(T_world_hand, T_world_hand, env._skin(rows), env._joints[rows]))
 
 
+@pytest.mark.whole(part="closed_loop")
 def test_a_hand_takes_the_object_with_the_fingers_and_on_the_way_that_reception_found(scores, monkeypatch):
     """Beside a scene that has these fingers, built by itself. A hand sets out from where it is: some of these take the
     object before they would have left, and what they meant to do is forgotten."""

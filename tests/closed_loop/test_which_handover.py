@@ -103,7 +103,7 @@ def test_neither_trial_nor_end_of_a_row_depends_on_what_others_do(motion):
 def test_a_trial_ends_the_same_in_any_row_and_number_of_rows(pool):
     """The m-th time that a trial comes up under a seed."""
     outcomes = []
-    for slots in (1, 2, 5):
+    for slots in (2, 5):
         played, ends = episodes(vector(slots), stands, -(-2 * len(pool) // slots), seed=3)
         times, found = {}, {}
         for k in range(len(played[0])):
@@ -115,12 +115,18 @@ def test_a_trial_ends_the_same_in_any_row_and_number_of_rows(pool):
     shared = set.intersection(*map(set, outcomes))
     assert {m for _, m in shared} >= {1, 2}
     for key in shared:
-        assert outcomes[0][key] == outcomes[1][key] == outcomes[2][key]
+        assert outcomes[0][key] == outcomes[1][key]
     assert any(outcomes[0][t, 1] != outcomes[0][t, 2] for t, m in shared if m == 2)  # drawn anew
 
 
-@pytest.mark.parametrize("mode", ["sync", "async"])
-@pytest.mark.parametrize(("slots", "count", "more"), [(3, 7, {}), pytest.param(8, 125, LONG, marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("mode", "slots", "count", "more"),
+    [
+        ("sync", 3, 7, {}),
+        pytest.param("async", 3, 7, {}, marks=pytest.mark.whole(part="closed_loop")),
+        *(pytest.param(mode, 8, 125, LONG, marks=pytest.mark.slow) for mode in ("sync", "async")),
+    ],
+)
 def test_a_trial_ends_the_same_in_gymnasiums_own_vectors(mode, slots, count, more):
     """A row of our vector plays every `slots`-th place of the order that the copy with its seed plays in full."""
     ours, seeds = vector(slots, **more), list(range(4, 4 + slots))

@@ -28,6 +28,10 @@ from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
 
 METHODS = (fc, handover_va, contact, intent, learned)
+EACH = [
+    pytest.param(m, marks=[pytest.mark.whole(part="methods")] * (m not in (fc, learned)), id=m.TITLE) for m in METHODS
+]
+"""The methods that answer by a rule share its code with the first one."""
 EXACT = PredictorNoise().scaled(0.0)
 N = 8
 
@@ -81,7 +85,7 @@ def test_the_order_is_by_the_first_key_then_the_next_then_the_place_and_begins_w
     assert torch.equal(in_order(allowed, u)[0][:, 0], least(u, allowed, torch.ones_like(allowed)))
 
 
-@pytest.mark.parametrize("method", METHODS, ids=lambda m: m.TITLE)
+@pytest.mark.parametrize("method", EACH)
 def test_rules_take_grasps_that_the_arm_can_pick_and_take_others_when_trials_begin_in_the_gripper(method):
     told, before = (is_picked(answer(method, on).T_obj_ee, slice(None)) for on in (True, False))
     assert told.sum() >= 2 * N - 3 and before.sum() <= told.sum() - 4
@@ -139,11 +143,7 @@ def test_a_learned_pose_holds_the_object_where_the_ranked_pair_did_also_when_the
     assert torch.allclose(*held, atol=1e-6)
 
 
-@pytest.mark.parametrize(
-    "method",
-    [pytest.param(m, marks=[pytest.mark.slow] * (m in (handover_va, intent))) for m in METHODS],
-    ids=lambda m: m.TITLE,
-)
+@pytest.mark.parametrize("method", EACH)
 def test_rows_have_the_same_bits_alone_and_in_any_order(method):
     for rows in each((torch.tensor([5]), torch.tensor([11, 2, 7]))):
         found = method.predict(trials()[rows], judge().scene, noise=EXACT, T_world_obj=rest()[rows])
@@ -269,6 +269,7 @@ def test_a_search_picks_the_object_where_it_is_told_to_lie_also_with_an_evaluato
     assert torch.equal(known_moments(own.kinematic.scene).of(some), there)
 
 
+@pytest.mark.whole(part="methods")
 def test_a_search_with_errors_knows_grasps_that_can_be_picked_and_comes_from_above_where_candidates_are_few():
     found, usable = pickable(), oracle.usable_grasps(judge())
     objects, above = trials().object_index.numpy(), 0
@@ -307,6 +308,7 @@ def test_above_is_where_the_vertical_is_of_an_object_that_rests_on_another_side(
     assert np.allclose(down, [0, 0, -1], atol=1e-6)
 
 
+@pytest.mark.whole(part="methods")
 def test_grasps_from_above_are_sampled_once_for_an_object_on_one_side(monkeypatch):
     asked, real = [], robust.sample_grasps
     monkeypatch.setattr(robust, "sample_grasps", lambda *a, **k: asked.append((a[0], *k["along"])) or real(*a, **k))
@@ -321,6 +323,7 @@ def test_grasps_from_above_are_sampled_once_for_an_object_on_one_side(monkeypatc
     assert np.array_equal(first.T_obj_ee, again.T_obj_ee) and np.array_equal(first.count, again.count)
 
 
+@pytest.mark.whole(part="methods")
 def test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_spare_margins_first(monkeypatch):
     usable, asked = oracle.usable_grasps(judge()), []
 

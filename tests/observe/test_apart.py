@@ -71,7 +71,14 @@ def method(tmp_path, text, name="mine"):
     return f"{file}:predict"
 
 
-@pytest.mark.parametrize(("model", "region"), [(None, "hidden"), ("lab", "hidden"), ("lab", "told"), (None, "told")])
+@pytest.mark.parametrize(
+    ("model", "region"),
+    [
+        (None, "hidden"),
+        ("lab", "told"),
+        *(pytest.param(*more, marks=pytest.mark.whole(part="observe")) for more in (("lab", "hidden"), (None, "told"))),
+    ],
+)
 def test_an_observation_comes_out_of_the_pipe_as_it_went_in(model, region):
     seen = view(model, region)
     again = unpacked(packed(seen))

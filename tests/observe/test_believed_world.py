@@ -3,6 +3,7 @@
 from functools import cache
 
 import numpy as np
+import pytest
 import torch
 import warp as wp
 from problems import default_evaluator
@@ -38,6 +39,7 @@ def test_a_known_object_without_errors_is_the_true_one_where_it_lies():
         assert cKDTree(own.vertices).query(true.vertices)[0].max() < 1e-5
 
 
+@pytest.mark.whole(part="observe")
 def test_a_completed_solid_lies_about_what_was_seen_of_the_object():
     trials, found = world("cell-v1,noise=0")
     rest = known_moments(scene()).of(trials).double().numpy()

@@ -79,8 +79,13 @@ def test_what_was_called_presented_is_told_apart_and_never_mixed(tmp_path, capsy
     assert "| Presented, before 0.4 |" in said and "| Presented |" not in said
 
 
-AGAIN = [pytest.param(name, marks=[pytest.mark.slow] * (name in ("simulated", "quarantine"))) for name in RUNS]
-"""Runs whose rows are judged again; two of them as another one is."""
+LATER = {
+    "simulated": pytest.mark.slow,
+    "quarantine": pytest.mark.slow,
+    "closed_loop": pytest.mark.whole(part="closed_loop"),
+}
+AGAIN = [pytest.param(name, marks=[LATER[name]] if name in LATER else []) for name in RUNS]
+"""Runs whose rows are judged again; two of them as another one is, and in one each row is an episode that is played."""
 
 
 @pytest.mark.parametrize("run", AGAIN, indirect=True)

@@ -248,6 +248,7 @@ assert files() == before
 """
 
 
+@pytest.mark.whole(part="changes")
 def test_a_sweep_goes_on_with_the_same_plug_ins_alone_and_is_read_without_them(tmp_path):
     package = {"odd/__init__.py": "", "odd/words.py": WORDS, "odd/equation.py": EQUATION, "odd/share.py": SHARE}
     tree = changed_tree(tmp_path / "tree", {}, package={**package, "odd/method.py": METHOD}, points=POINTS)

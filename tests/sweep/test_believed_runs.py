@@ -142,6 +142,7 @@ def test_what_fails_is_said_in_words(runs, capsys):
     assert Counter(r["outcome"] for r in rows(runs / "truth")) != Counter(r["outcome"] for r in rows(runs / "one"))
 
 
+@pytest.mark.whole(part="sweep")
 def test_a_plan_that_fails_in_the_belief_is_drawn_there_with_the_pair_of_its_margin(failing):
     reader, persons = Reader(failing), 0
     failed = [r for r in rows(failing) if r["outcome"] == "plan" and r["plan_reason"] == "ik_in_collision"]
@@ -159,6 +160,7 @@ def test_a_plan_that_fails_in_the_belief_is_drawn_there_with_the_pair_of_its_mar
     assert persons
 
 
+@pytest.mark.whole(part="sweep")
 def test_a_motion_that_was_made_is_drawn_in_the_true_world(runs):
     reader = Reader(runs / "one")
     for row in each([r for r in rows(runs / "one") if r["plan_reason"] in ("ok", "motion_in_collision")][:3]):

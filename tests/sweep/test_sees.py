@@ -139,6 +139,7 @@ def test_grasps_of_the_world_are_judged_where_the_object_lay_at_the_moment(metho
         assert np.abs(handover - T[i] @ expected).max() < 1e-6
 
 
+@pytest.mark.whole(part="sweep")
 def test_known_objects_are_known_as_well_as_their_level_says(methods, tmp_path):
     off = {}
     for level in each(("lab", "rgb")):
@@ -161,6 +162,7 @@ def test_rows_have_the_same_bits_in_chunks_shards_and_after_a_resume(run, method
             assert a[name] == b[name], name
 
 
+@pytest.mark.whole(part="sweep")
 def test_methods_of_a_sweep_look_once_and_answer_as_they_do_alone(run, methods, tmp_path, monkeypatch):
     looked = []
     look = Sees.look
@@ -190,6 +192,7 @@ def test_methods_of_a_sweep_look_once_and_answer_as_they_do_alone(run, methods, 
     assert a == b and min(a) > 0
 
 
+@pytest.mark.whole(part="sweep")
 def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, methods, tmp_path, capsys):
     assert swept(methods, tmp_path / "exact", sees="cell-v1,noise=0").returncode == 0
     capsys.readouterr()

@@ -38,7 +38,10 @@ SAME_M = 2e-4
 """MuJoCo's depth of an overlap may be this much below the evaluator's bound: convex pieces against meshes."""
 
 
-@pytest.fixture(scope="module", params=[0.0, 0.1], ids=["free", "10 cm"])
+KEPT = [pytest.param(0.0, id="free"), pytest.param(0.1, id="10 cm", marks=pytest.mark.whole(part="view"))]
+
+
+@pytest.fixture(scope="module", params=KEPT)
 def at_heads(request, tmp_path_factory):
     """A run in which an object is held out 5 cm before the middle of each receiver's head, and what is to be kept from that."""
     folder = tmp_path_factory.mktemp("heads")

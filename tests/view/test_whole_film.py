@@ -42,6 +42,7 @@ def test_a_row_is_told_from_the_cameras_on(reader, drawing):
     assert seen[0].std() > 10  # no empty picture
 
 
+@pytest.mark.whole(part="view")
 @needs("gl")
 def test_a_film_keeps_the_order_and_says_the_verdict_at_its_end_alone(drawing, tmp_path, monkeypatch):
     said = []

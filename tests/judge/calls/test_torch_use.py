@@ -103,7 +103,9 @@ def test_a_captured_call_repeats_the_plain_one_in_the_same_memory(batch):
         evaluator.capture(0)
 
 
-@pytest.fixture(scope="module", params=[DEFAULT_BENCHMARK, "r2h-v3"])
+@pytest.fixture(
+    scope="module", params=[DEFAULT_BENCHMARK, pytest.param("r2h-v3", marks=pytest.mark.whole(part="judge"))]
+)
 def before_people(request):
     """Poses on benchmarks whose receivers have arm and torso; r2h-v3 also asks for Pick and Received."""
     benchmark = load_benchmark(request.param)

@@ -8,6 +8,7 @@ from importlib import resources
 from pathlib import Path
 
 import numpy as np
+import pytest
 import torch
 from rounds import each
 
@@ -69,6 +70,7 @@ def test_contacts_are_read_at_the_clouds_points_and_do_not_depend_on_the_batch()
     assert (row[handle] >= CONTACT_THRESHOLD).float().mean() > (row[~handle] >= CONTACT_THRESHOLD).float().mean()
 
 
+@pytest.mark.whole(part="methods")
 def test_an_object_can_be_shown_to_a_network_that_never_saw_its_category() -> None:
     benchmark = load_benchmark("r2h-v1").with_objects(load_objects(["hammer_02", "bowl", "cup_01"]))
     scene = Evaluator(benchmark).scene

@@ -25,6 +25,7 @@ def written(run, tmp_path_factory):
     return folder
 
 
+@pytest.mark.whole(part="view")
 def test_trials_that_are_read_back_get_the_verdicts_that_they_had(run, written):
     """Verdicts of the motion as given and of one that is planned anew."""
     own = {r["trial_id"]: r for r in load_run(run).trials("oracle").to_pylist()}
