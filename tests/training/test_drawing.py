@@ -65,12 +65,13 @@ FEW, MORE = ((0, "spawn"), (2, "fork")), ((0, "fork"), (1, "spawn"), (2, "fork")
 
 @pytest.mark.parametrize("ways", [FEW, pytest.param(MORE, marks=pytest.mark.slow)], ids=["few", "more"])
 def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(ways, cold, monkeypatch):
-    runs = []
+    runs, count = [], 3 if ways is FEW else 6
+    families = FAMILIES if ways is MORE else "knife x 3 seed 9"
     for workers, how in each(ways):
         monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
         forget()
-        pairs = stream(load_benchmark(), FAMILIES, workers=workers, **SIZES)
-        assert len(pairs.left_out.names if pairs.left_out else pairs.names) == 6
+        pairs = stream(load_benchmark(), families, workers=workers, **SIZES)
+        assert len(pairs.left_out.names if pairs.left_out else pairs.names) == count
         loaded = [*DataLoader(pairs, None, num_workers=2, multiprocessing_context=how)]
         for way, run in {"in turn": [*pairs], how: loaded, "by number": [pairs.item(i) for i in range(7)]}.items():
             runs.append(run)
@@ -79,7 +80,7 @@ def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_
                 f"drawn by {workers} more processes, loaded {way}: item and tensor {differ}"
             )
         pairs.close()
-    plain = stream(load_benchmark(), FAMILIES, **{**SIZES, "renew": 0})  # else nothing would change
+    plain = stream(load_benchmark(), families, **{**SIZES, "renew": 0})  # else nothing would change
     assert differing(runs[0][3], plain.item(3))
 
 
@@ -230,6 +231,7 @@ def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
             os.killpg(child.pid, signal.SIGKILL)
 
 
+@pytest.mark.whole(part="training")
 def test_weights_do_not_depend_on_who_draws_or_on_an_interruption(cold, tmp_path, monkeypatch):
     recipe = Recipe(
         families=FAMILIES, regions=0, items=3, steps=7, rounds=1, mined_items=1, mined_steps=2, renew=2, seed=3
