@@ -295,8 +295,8 @@ def motion_hint(
     judge: Callable[[Any, Tensor, Tensor], Scores],
     robot: Robot,
 ) -> str | None:
-    """One line about motions that all fail, or last long, and succeed in other units, or begin at home with the joints in
-    another order; None: nothing is found.
+    """One line about motions that all fail, or last long, and succeed in other units or as differences, or begin at home with
+    the joints in another order, in turns or shifted by half turns; None: nothing is found.
 
     Args:
         scores: verdicts of the B rows.
@@ -318,8 +318,16 @@ def motion_hint(
         if long and (known := _unit_of_time(median)):
             name = f"q read as degrees and time_s as {known[0]}: rad and s are the units ({degrees}, time_unit={known[2]})"
             unit = 1 / known[1]
-        parts = [judge(rows, q[rows], time), judge(rows, q[rows] * (math.pi / 180), time * unit)]
-        words = _best(scores, Scores.concatenate(parts), (name,), ROWS)
+        given = q[rows].double()
+        home = torch.tensor(robot.home_q, dtype=torch.float64, device=q.device)
+        others = {
+            name: given * (math.pi / 180),
+            "q read as differences between samples, from home on: q has the angles themselves": home
+            + given.cumsum(1),
+        }
+        parts = [judge(rows, q[rows], time)]
+        parts += [judge(rows, o.to(q.dtype), time * unit) for o in others.values()]
+        words = _best(scores, Scores.concatenate(parts), tuple(others), ROWS)
         most = float(q.abs().flatten(1).amax(1).double().median())
         if words is None and TURNED_RAD < most < math.inf:
             words = (
@@ -351,7 +359,8 @@ def _unit_of_time(median: float) -> tuple[str, float, str] | None:
 
 
 def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
-    """One line where most motions fail, none begins at home, and all end there, or do with the joints in another order."""
+    """One line where most motions fail, none begins at home, and all end there, or do with the joints in another order, in
+    turns or shifted by half turns."""
     if len(q) < ROWS or 2 * int(scores.success.sum()) > len(q):
         return None
     names, home = robot.joints, torch.tensor(robot.home_q, dtype=torch.float64, device="cpu")
@@ -372,6 +381,15 @@ def _order_of_joints(scores: Scores, q: Tensor, robot: Robot) -> str | None:
                 f"all {len(q)} motions begin at home with q read in the order {read}{why}; the order is {', '.join(names)}:"
                 f" {declaration('joint_names', 'the names of the columns')}"
             )
+    if (first * (2 * math.pi) - home).abs().amax(1).max() < AT_HOME_RAD:
+        return f"all {len(q)} motions begin at home with q read as turns (1 is 360 degrees): angles are in radians"
+    turns = ((near - home) / math.pi).round()  # half ones
+    if (first - home - math.pi * turns).abs().amax(1).max() < AT_HOME_RAD:
+        shifted = ", ".join(f"{n} {180 * k:+.0f}" for n, k in zip(names, turns.tolist()) if k)
+        return (
+            f"all {len(q)} motions begin at home but for whole half turns ({shifted} degrees): take them out, the robot's"
+            " zero is that of its URDF"
+        )
     return None
 
 

@@ -380,3 +380,26 @@ def test_motions_that_end_at_home_are_told(solved, fresh):
     back = (last - 1 - torch.arange(scores.path.shape[1])).clamp(min=0)[..., None].expand_as(scores.path)
     with pytest.warns(UserWarning, match="motions end at home, and none begins there"):
         fresh().score_motion(poses[0], scores.path.gather(1, back), scores.path_time_s, trials, length=scores.path_len)
+
+
+def test_motions_in_turns_as_differences_or_shifted_by_half_turns_are_told(solved, fresh):
+    trials, poses, scores = solved
+    q, time_s, length = scores.path, scores.path_time_s, scores.path_len
+    home = torch.tensor(fresh().scene.robot.home_q)
+    half = torch.zeros(q.shape[2])
+    half[3] = math.pi
+    for given, words in (
+        (q / (2 * math.pi), f"{len(q)} motions begin at home with q read as turns"),
+        (
+            torch.diff(q, dim=1, prepend=home.expand(len(q), 1, -1)),
+            "8 of 8 pass with q read as differences between samples",
+        ),
+        (q + half, f"{len(q)} motions begin at home but for whole half turns .wrist_1_joint .180 degrees"),
+    ):
+        with pytest.warns(UserWarning, match=words):
+            fresh().score_motion(poses[0], given.float(), time_s, trials, length=length)
+    evaluator = fresh()
+    evaluator.moved = True
+    odd = q + 0.3 * half  # no half turn, and nothing that fits
+    found = evaluator.score_motion(poses[0], odd, time_s, trials, length=length)
+    assert evaluator.motion_hint(found, poses[0], trials, odd, time_s, length) is None

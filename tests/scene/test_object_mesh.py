@@ -51,11 +51,17 @@ def test_files_that_are_no_meshes_are_refused_with_what_to_do(tmp_path):
     (tmp_path / "nothing.obj").write_text("# no faces\nv 0 0 0\n")
     (tmp_path / "noise.glb").write_bytes(b"\x00\x01noise")
     (tmp_path / "mesh.txt").write_text("v 0 0 0")
+    (tmp_path / "named.stl").write_text("# of a modeller\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "words.stl").write_text("a mesh\n")
+    (tmp_path / "pulled.stl").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:00\nsize 9\n")
     for name, text in {
         "missing.obj": "no file .*missing.obj",
         "empty.obj": "is empty",
         "nothing.obj": "nothing.obj is empty: no triangles",
         "noise.glb": "cannot be read",
+        "named.stl": r"named\.stl is text without a facet, so no STL; rename it \.obj",
+        "words.stl": r"words\.stl is text without a facet, so no STL; export it as STL",
+        "pulled.stl": r"pulled\.stl is a pointer of Git LFS, not the mesh; run git lfs pull",
         "mesh.txt": r"is not one of \.obj, \.stl",
     }.items():
         with pytest.raises(ObjectMeshError, match=text):

@@ -98,13 +98,24 @@ def _load(
     for i, path in enumerate(paths):
         vertices, faces, part, names = answers[4 * i : 4 * i + 4]
         if len(faces) == 0 and not (points and len(vertices)):
-            empty = f"{printable(path)} is empty: no triangles in it; export a triangle mesh"
-            raise ObjectMeshError(f"{label}: {empty}")
+            raise ObjectMeshError(f"{label}: {printable(path)} {_no_triangles(path)}")
         mesh = trimesh.Trimesh(vertices, faces, process=False)
         if len(names) > 1:
             mesh.metadata[LABELS] = (part, tuple(str(n) for n in names))
         found.append(mesh)
     return found
+
+
+def _no_triangles(path: Path) -> str:
+    """Why a file that was read has no triangles, and what to do."""
+    with open_file(path, MOST_BYTES) as file:
+        head = file.read(4096)
+    if head.startswith(b"version https://git-lfs"):
+        return "is a pointer of Git LFS, not the mesh; run git lfs pull"
+    if path.suffix.lower() == ".stl" and b"\0" not in head and b"facet" not in head.lower():
+        how = "rename it .obj" if re.search(rb"^v[ \t]", head, re.MULTILINE) else "export it as STL"
+        return f"is text without a facet, so no STL; {how}"
+    return "is empty: no triangles in it; export a triangle mesh"
 
 
 def labels_of(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], tuple[str, ...]] | None:
