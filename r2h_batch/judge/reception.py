@@ -218,7 +218,7 @@ class _Known:
 def _known(
     objects: tuple[ObjectModel, ...], hand: HandModel, device: str, open_gap_m: float
 ) -> _Known:
-    """What all scenes with these share: hands on the 96 objects of r2h-v3 take 1.2 GB, and 15 s to pose."""
+    """What all scenes with these share: hands on the 96 objects of r2h-v3 take 1.2 GB, and 10 s to pose."""
     return _Known()
 
 
@@ -237,7 +237,7 @@ def _grasps(scene: Scene, held_out: HeldOut) -> _Grasps:
 def _skins(
     scene: Scene, held_out: HeldOut, before: _Grasps | None
 ) -> tuple[Float32[Tensor, "m 16 3"], Float32[Tensor, "m p 3"]]:
-    """Joints of the posed hands, and the points of their convex pieces (frame obj, m). Posing takes 0.3 ms a hand, so hands of
+    """Joints of the posed hands, and the points of their convex pieces (frame obj, m). Posing takes 0.2 ms a hand, so hands of
     objects that were there before are copied.
     """
     grasps, hand = held_out.grasps, scene.hands.model

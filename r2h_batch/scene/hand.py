@@ -219,11 +219,11 @@ class HandModel:
         shift = [world_joint[j] - se3.rotate(world_rotation[j], rest[:, j]) for j in range(JOINTS)]
         turned = torch.stack(world_rotation, 1).flatten(2)
         matrix = torch.cat([turned, torch.stack(shift, 1)], dim=2)
-        # in place: twice as fast as with new memory for each sum
+        # in place: twice as fast as with new memory for each sum; `matrix[:, bones]` takes six times as long
         (bones, *other_bones), (weight, *weights) = (a.to(device).T for a in self._influences)
-        blended = matrix[:, bones].mul_(weight[:, None])
+        blended = matrix.index_select(1, bones).mul_(weight[:, None])
         for bones, weight in zip(other_bones, weights, strict=True):
-            blended += matrix[:, bones].mul_(weight[:, None])
+            blended += matrix.index_select(1, bones).mul_(weight[:, None])
         posed = se3.rotate(blended[..., :9].unflatten(-1, (3, 3)), skin) + blended[..., 9:]
         joints = torch.stack(world_joint, dim=1)
         flip = torch.stack([mirror, torch.ones_like(mirror), torch.ones_like(mirror)], dim=2)
