@@ -77,7 +77,7 @@ def pool():
     return vector(1).unwrapped.pool.trial_id.tolist()
 
 
-@pytest.mark.parametrize("seed", [0, 5, 2**62 + 3])
+@pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.whole(part="closed_loop")), 2**62 + 3])
 def test_the_handover_is_the_seeds_place_and_the_row_and_all_rows_before(pool, seed):
     n = len(pool)
     assert n > 4
@@ -92,7 +92,7 @@ def test_seeds_of_rows_are_their_own_places(pool):
     assert found == [[pool[(s + i + 3 * k) % len(pool)] for k in range(4)] for i, s in enumerate(seeds)]
 
 
-@pytest.mark.parametrize("motion", ["moves", "takes"])
+@pytest.mark.parametrize("motion", ["moves", pytest.param("takes", marks=pytest.mark.whole(part="closed_loop"))])
 def test_neither_trial_nor_end_of_a_row_depends_on_what_others_do(motion):
     quiet, ends = episodes(vector(4, motion=motion), stands, 4, seed=1)
     busy, other = episodes(vector(4, motion=motion), rushes, 4, seed=1)

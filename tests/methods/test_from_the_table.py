@@ -258,6 +258,7 @@ def test_a_search_with_errors_picks_the_object_where_it_lies_wherever_the_hand_i
         assert torch.allclose(T, rest()[ids.index(np.frombuffer(key[:8], np.int64)[0])], atol=1e-6)
 
 
+@pytest.mark.whole(part="methods")
 def test_a_search_picks_the_object_where_it_is_told_to_lie_also_with_an_evaluator_of_its_own():
     there = rest()[:6].clone()
     there[:, :3, 3] += torch.tensor([0.03, 0.0, 0.0])

@@ -95,7 +95,7 @@ def test_an_observation_comes_out_of_the_pipe_as_it_went_in(model, region):
 
 
 @pytest.mark.check
-@pytest.mark.parametrize("region", ["hidden", "told"])
+@pytest.mark.parametrize("region", ["hidden", pytest.param("told", marks=pytest.mark.whole(part="observe"))])
 def test_a_spy_finds_no_pose_no_object_no_hand_and_no_name_of_the_truth_in_all_that_it_can_reach(region, tmp_path):
     import pickle
 

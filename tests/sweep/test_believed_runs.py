@@ -20,6 +20,8 @@ from r2h_batch.view.captions import title
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
+pytestmark = pytest.mark.whole(part="sweep")
+"""A film in tests/view/test_whole_film.py begins with such a run; what planning believes: tests/judge/test_followed.py."""
 LINE = [
     "--benchmark",
     "r2h-v3",
@@ -142,7 +144,6 @@ def test_what_fails_is_said_in_words(runs, capsys):
     assert Counter(r["outcome"] for r in rows(runs / "truth")) != Counter(r["outcome"] for r in rows(runs / "one"))
 
 
-@pytest.mark.whole(part="sweep")
 def test_a_plan_that_fails_in_the_belief_is_drawn_there_with_the_pair_of_its_margin(failing):
     reader, persons = Reader(failing), 0
     failed = [r for r in rows(failing) if r["outcome"] == "plan" and r["plan_reason"] == "ik_in_collision"]
@@ -160,7 +161,6 @@ def test_a_plan_that_fails_in_the_belief_is_drawn_there_with_the_pair_of_its_mar
     assert persons
 
 
-@pytest.mark.whole(part="sweep")
 def test_a_motion_that_was_made_is_drawn_in_the_true_world(runs):
     reader = Reader(runs / "one")
     for row in each([r for r in rows(runs / "one") if r["plan_reason"] in ("ok", "motion_in_collision")][:3]):

@@ -151,6 +151,7 @@ def test_known_objects_are_known_as_well_as_their_level_says(methods, tmp_path):
     assert off["lab"] == pytest.approx(1.0, rel=0.4) and off["rgb"] == pytest.approx(8.0, rel=0.4)
 
 
+@pytest.mark.whole(part="sweep")
 def test_rows_have_the_same_bits_in_chunks_shards_and_after_a_resume(run, methods, tmp_path):
     parts = tmp_path / "parts"
     assert swept(methods, parts, "--chunk", "3", "--shard-trials", "4", "--shard", "2/2").returncode in (0, 1)
@@ -246,6 +247,7 @@ def test_runs_of_before_the_option_are_seen_as_they_were():
     assert Sees.parse("cell-v1,region=told").digest != Sees.parse("cell-v1").digest
 
 
+@pytest.mark.whole(part="sweep")
 def test_options_of_the_method_reach_it(methods, tmp_path):
     done = in_process(
         "--method", f"high={methods}/grab.py:predict,height_m=0.2", "--sees", "cell-v1", "--trials", 1, "--splits", "S0",

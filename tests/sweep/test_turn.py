@@ -54,6 +54,7 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.mark.whole(part="sweep")
 def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(run, capsys):
     capsys.readouterr()
     assert command("compare", run / "run", "--format", "json") == 0
@@ -95,6 +96,7 @@ def test_a_method_that_depends_on_the_frame_moves_and_one_that_does_not_stays(ru
     capsys.readouterr()
 
 
+@pytest.mark.whole(part="sweep")
 def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys, tmp_path):
     shutil.copytree(run / "run", tmp_path / "run")
     few = ["--trials", "4", "--splits", "S1", "--execute.sim", "none", "--quiet", "--benchmark", run / "some.yaml"]
@@ -107,6 +109,7 @@ def test_turned_runs_of_fewer_trials_are_paired_with_the_first_ones(run, capsys,
     assert [(t["method"].partition(" ")[0], t["n"]) for t in compared["turns"]] == [("Intent-Handover", 4)]
 
 
+@pytest.mark.whole(part="sweep")
 def test_a_turn_test_of_another_run_is_refused(run, capsys, tmp_path):
     few = ["--trials", "1", "--splits", "S1", "--execute.sim", "none", "--quiet", "--benchmark", run / "some.yaml"]
     assert command("sweep", "--method", "random", *few, "--seed", 3, "--out", tmp_path / "run") == 0

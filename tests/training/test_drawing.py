@@ -59,28 +59,32 @@ def differing(a, b):
     ]
 
 
-FEW, MORE = ((0, "spawn"), (2, "fork")), ((0, "fork"), (1, "spawn"), (2, "fork"))
-"""Processes that draw, and how those of a loader are started. Each draws all instances anew."""
+FEW, MORE = ((0, "fork"), (2, "fork")), ((0, "spawn"), (1, "spawn"), (2, "fork"))
+"""Processes that draw, and how those of a loader are started (spawned ones: tests/test_examples.py too). Each draws all anew."""
 
 
 @pytest.mark.parametrize("ways", [FEW, pytest.param(MORE, marks=pytest.mark.slow)], ids=["few", "more"])
 def test_items_are_the_same_bits_for_any_number_of_processes_that_draw_and_that_load(ways, cold, monkeypatch):
     runs, count = [], 3 if ways is FEW else 6
-    families = FAMILIES if ways is MORE else "knife x 3 seed 9"
+    families, sizes = (FAMILIES, SIZES) if ways is MORE else ("knife x 3 seed 9", {**SIZES, "items": 5})
     for workers, how in each(ways):
         monkeypatch.setenv("R2H_BATCH_CACHE", str(cold / str(workers)))
         forget()
-        pairs = stream(load_benchmark(), families, workers=workers, **SIZES)
+        pairs = stream(load_benchmark(), families, workers=workers, **sizes)
         assert len(pairs.left_out.names if pairs.left_out else pairs.names) == count
         loaded = [*DataLoader(pairs, None, num_workers=2, multiprocessing_context=how)]
-        for way, run in {"in turn": [*pairs], how: loaded, "by number": [pairs.item(i) for i in range(7)]}.items():
+        for way, run in {
+            "in turn": [*pairs],
+            how: loaded,
+            "by number": [pairs.item(i) for i in range(sizes["items"])],
+        }.items():
             runs.append(run)
             differ = [(i, k) for i, (a, b) in enumerate(zip(runs[0], run, strict=True)) for k in differing(a, b)]
-            assert len(run) == 7 and not differ, (
+            assert len(run) == sizes["items"] and not differ, (
                 f"drawn by {workers} more processes, loaded {way}: item and tensor {differ}"
             )
         pairs.close()
-    plain = stream(load_benchmark(), families, **{**SIZES, "renew": 0})  # else nothing would change
+    plain = stream(load_benchmark(), families, **{**sizes, "renew": 0})  # else nothing would change
     assert differing(runs[0][3], plain.item(3))
 
 

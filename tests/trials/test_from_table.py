@@ -121,15 +121,18 @@ def scores(judge, asked):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     where = tmp_path_factory.mktemp("from_table")
-    random_alone = [word for word in LINE if word != "oracle"]
-    runs = (
-        ("whole", "0", LINE),
-        ("parts", "5", [*LINE, "--threads", "1"]),
-        ("presents", "0", [*random_alone, "--until", "present"]),
-    )
-    for name, shard, line in each(runs):
-        assert sweep([*line, "--shard-trials", shard, "--out", str(where / name)]) == 0
+    assert sweep([*LINE, "--out", str(where / "whole")]) == 0
     return where
+
+
+@pytest.fixture(scope="module")
+def others(folder):
+    """The same sweep in shards on one thread, and one until the arm is at rest, beside it."""
+    random_alone = [word for word in LINE if word != "oracle"]
+    runs = (("parts", "5", [*LINE, "--threads", "1"]), ("presents", "0", [*random_alone, "--until", "present"]))
+    for name, shard, line in each(runs):
+        assert sweep([*line, "--shard-trials", shard, "--out", str(folder / name)]) == 0
+    return folder
 
 
 @pytest.mark.check
@@ -359,8 +362,9 @@ def test_the_pose_stage_asks_nobody_to_take_anything(gives, asked):
     assert pose.success.any() and not pose.evaluated[:, received:].any() and (pose.receives == -1).all()
 
 
-def test_a_sweep_until_present_says_so_and_lacks_the_columns(folder):
-    run, whole = load_run(folder / "presents"), load_run(folder / "whole")
+@pytest.mark.whole(part="trials")
+def test_a_sweep_until_present_says_so_and_lacks_the_columns(others):
+    run, whole = load_run(others / "presents"), load_run(others / "whole")
     assert run.asks == ("pick", "presented") and whole.asks == ("pick", "presented", "received")
     names = set(run.trials(run.methods[0]).column_names)
     assert "passed_pick" in names and not {"passed_received", "received_reason"} & names
@@ -387,16 +391,16 @@ def test_tables_and_words_show_received(folder):
     assert set(RECEIVES) == {r.name.lower() for r in ReceiveReason} - {"ok"}
 
 
-def test_thresholds_of_what_was_given_can_only_be_stricter(folder):
+@pytest.mark.parametrize("name", ["whole", pytest.param("presents", marks=pytest.mark.whole(part="trials"))])
+def test_thresholds_of_what_was_given_can_only_be_stricter(name, request):
     before = load_run(Path(__file__).parents[1] / "frozen" / "draft")  # of 0.3: it did not ask for Presented
     assert rethreshold(before, reach_radius_m=[0.05])
     with pytest.raises(ValueError, match="these rows allow stricter thresholds only, or sweep with --until present"):
         rethreshold(before, reach_radius_m=[0.9])
-    for name in ("whole", "presents"):
-        run = load_run(folder / name)
-        assert rethreshold(run, safe_margin_m=[0.02]) and rethreshold(run, reach_radius_m=[0.1])
-        with pytest.raises(ValueError, match="Presented has it too"):
-            rethreshold(run, reach_radius_m=[0.05])
+    run = load_run(request.getfixturevalue("folder" if name == "whole" else "others") / name)
+    assert rethreshold(run, safe_margin_m=[0.02]) and rethreshold(run, reach_radius_m=[0.1])
+    with pytest.raises(ValueError, match="Presented has it too"):
+        rethreshold(run, reach_radius_m=[0.05])
 
 
 def test_the_pose_stage_judges_pick_at_the_grasp_alone(judge):
@@ -474,12 +478,18 @@ def test_trials_for_which_nothing_is_picked_keep_their_candidates(judge):
     assert np.array_equal(found.chosen(np.array([1]), np.array([0.5]), below[:1]), below[:1])
 
 
-def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thread(folder):
-    whole, parts = (load_run(folder / name) for name in ("whole", "parts"))
+@pytest.mark.whole(part="trials")
+def test_a_sweep_has_the_same_rows_in_any_shards_and_on_one_thread(others):
+    whole, parts = (load_run(others / name) for name in ("whole", "parts"))
+    for method in each(whole.methods):
+        assert whole.digest(method) == parts.digest(method)
+
+
+def test_a_sweep_stores_pick(folder):
+    whole = load_run(folder / "whole")
     asks = ["pick", "presented", "received"]
     assert list(whole.asks) == asks == read_json(folder / "whole" / "run.json", most=1 << 24)["asks"]
     for method in each(whole.methods):
-        assert whole.digest(method) == parts.digest(method)
         table = whole.trials(method)
         assert {"passed_pick", "margin_pick_m", "margin_kind_pick", "pick_reason", "pick_pair", "pick_part"} <= set(
             table.column_names
@@ -493,13 +503,14 @@ def test_a_sweep_stores_pick_and_has_the_same_rows_in_any_shards_and_on_one_thre
     assert given.digest == load_benchmark("r2h-v3").digest
 
 
-def test_a_sweep_goes_on_where_it_was(folder, capsys):
-    run = load_run(folder / "parts")
+@pytest.mark.whole(part="trials")
+def test_a_sweep_goes_on_where_it_was(others, capsys):
+    run = load_run(others / "parts")
     before = run.digest("oracle")
-    next((folder / "parts").rglob("*.parquet")).unlink()
-    assert len(load_run(folder / "parts").unfinished) == 1
-    assert sweep([*LINE, "--shard-trials", "5", "--out", str(folder / "parts")]) == 0
-    assert load_run(folder / "parts").digest("oracle") == before
+    next((others / "parts").rglob("*.parquet")).unlink()
+    assert len(load_run(others / "parts").unfinished) == 1
+    assert sweep([*LINE, "--shard-trials", "5", "--out", str(others / "parts")]) == 0
+    assert load_run(others / "parts").digest("oracle") == before
 
 
 def test_tables_and_words_show_pick(folder):

@@ -66,6 +66,7 @@ def test_a_wrong_argument_is_refused_before_a_method_answers(name, wrong, error,
         gymnasium.make_vec(name, num_envs=1, vectorization_mode="vector_entry_point", **wrong)
 
 
+@pytest.mark.whole(part="closed_loop")
 def test_an_episode_from_the_table_begins_where_its_plan_has_lifted_the_object():
     register()
     how = {"trials": 3, "output": "torch", "motion": "still", "action": "posture", "autoreset": False}

@@ -32,7 +32,10 @@ def benchmark_of(who: str) -> Benchmark:
     return load_benchmark("r2h-v2") if who == "r2h-v2" else edited(BenchmarkChoice(benchmark="r2h-v1", people=who))
 
 
-@pytest.mark.parametrize("who", ["r2h-v2", "children", "wheelchair"])
+SMALLER = [pytest.param(who, marks=pytest.mark.whole(part="trials")) for who in ("children", "wheelchair")]
+
+
+@pytest.mark.parametrize("who", ["r2h-v2", *SMALLER])
 def test_forearm_and_hand_keep_off_the_own_torso_as_fcl_sees_them(who: str) -> None:
     benchmark = benchmark_of(who)
     trials = benchmark.trials(60)

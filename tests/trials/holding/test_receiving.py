@@ -120,6 +120,7 @@ def test_grasps_of_the_peoples_hand_are_shipped_touch_and_do_not_cut(monkeypatch
     assert all(opposed)
 
 
+@pytest.mark.whole(part="trials")
 def test_held_out_grasps_of_the_peoples_hand_are_shipped_touch_and_are_other_grasps(monkeypatch) -> None:
     def asked(*args: object, **kwargs: object) -> None:
         raise AssertionError("sampled")

@@ -132,6 +132,7 @@ def test_the_hands_sheet_says_where_it_is(stored):
     assert np.linalg.norm(points.mean(0) - stored.T_world_hand[:2, 3]) < 0.15
 
 
+@pytest.mark.whole(part="view")
 def test_a_folder_for_the_laboratory_and_back(run, tmp_path, capsys):
     out = tmp_path / "lab"
     assert main(["export", "real", str(run), "--trials", "0-2", "--out", str(out), "--rate-hz", "50"]) == 0
