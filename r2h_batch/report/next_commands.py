@@ -22,6 +22,8 @@ def next_commands(runs: Sequence[Run], printed: Literal["brief", "table"] = "tab
     lines = []
     if printed == "brief":
         lines.append(("report", " --full", "times, counts and all intervals, with what they mean"))
+    if len(runs) == 1:
+        lines.append(("why", "", "why trials failed: each reason, and one trial of it"))
     if (words := _compared(runs)) is not None:
         lines.append(("compare", words, "which differences are more than chance"))
     lines.append(("report", " --format html > report.html", "by object, margins, every trial"))

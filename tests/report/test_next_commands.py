@@ -37,24 +37,25 @@ def test_compare_is_offered_where_it_does_not_refuse_and_nowhere_else(folders, c
 
 def test_a_folder_below_the_working_directory_is_named_from_there(tmp_path, monkeypatch):
     run = write_run(tmp_path / "runs" / "mine", {"mine": np.zeros(8, int)}, 4, 4)
-    assert [words[1] for words in offered([run])] == [str(tmp_path / "runs" / "mine")]
+    assert {words[1] for words in offered([run])} == {str(tmp_path / "runs" / "mine")}
     monkeypatch.chdir(tmp_path)
-    assert [words[1] for words in offered([run])] == ["runs/mine"]
+    assert {words[1] for words in offered([run])} == {"runs/mine"}
     monkeypatch.chdir(tmp_path / "runs" / "mine")
-    assert [words[1] for words in offered([run])] == [str(tmp_path / "runs" / "mine")]
+    assert {words[1] for words in offered([run])} == {str(tmp_path / "runs" / "mine")}
 
 
 def test_below_the_short_form_the_whole_table_is_offered_first():
     runs = [load_run(DEFAULT)]
     short = next_commands(runs, printed="brief").splitlines()
     where = offered(runs)[0][1]
+    assert offered(runs)[0] == ["why", where] and not any(w[0] == "why" for w in offered(runs * 2))
     assert shlex.split(short[2], comments=True) == ["r2h-batch", "report", where, "--full"]
     assert short[:2] + short[3:] == next_commands(runs).splitlines()
 
 
 def test_a_run_of_other_trials_is_not_offered_the_baselines(tmp_path, capsys):
     run = write_run(tmp_path / "run", {"mine": np.zeros(8, int)}, 4, 4)
-    assert [words[0] for words in offered([run])] == ["report"]  # no poses are stored either
+    assert [words[0] for words in offered([run])] == ["why", "report"]  # no poses are stored either
     assert main(["compare", str(run.folder), "baselines"]) == 2
     capsys.readouterr()
 
