@@ -78,10 +78,11 @@ def reception_of(again: Again, found: Any, index: int) -> Iterator[Finding]:
     thing = int(own.object_index[0])
     yield Finding("object of the grasp", thing, here, "fact", wrong=thing != here)
 
-    # the object is held where the second judge closes the gripper on it
-    closed = rigid(found.T_obj_ee[index])
+    # the object is held where the row's closing, which the second judge has found again (`Again.findings`), takes it
+    closed, stored = rigid(found.T_obj_ee[index]), again.T_obj_ee.copy()
+    stored[:3, 3] += again.row["grasp_shift_m"] * stored[:3, 1]
     com = np.append(np.asarray(scene.objects[here].com, np.float64), 1.0)
-    beside = float(np.linalg.norm((np.linalg.inv(closed) - np.linalg.inv(again.attached))[:3] @ com))
+    beside = float(np.linalg.norm((np.linalg.inv(closed) - np.linalg.inv(stored))[:3] @ com))
     yield Finding("held beside where it closes, m", 0.0, beside, "fact", wrong=beside > 1e-5)
 
     # in the object's frame the hand is the grasp's, or turned about the axis of an object of revolution
