@@ -312,6 +312,7 @@ FOUND = (
 """Exit code and a line of stderr of each command above."""
 
 
+@pytest.mark.whole(part="changes")
 def test_each_fault_is_one_line_and_the_rows_of_others_stay(tmp_path):
     pytest.importorskip("gymnasium")
     package(tmp_path, POINTS, strange=STRANGE, equations=EQUATIONS, more=MORE)

@@ -122,8 +122,7 @@ def test_a_trial_ends_the_same_in_any_row_and_number_of_rows(pool):
 @pytest.mark.parametrize(
     ("mode", "slots", "count", "more"),
     [
-        ("sync", 3, 7, {}),
-        pytest.param("async", 3, 7, {}, marks=pytest.mark.whole(part="closed_loop")),
+        *(pytest.param(mode, 3, 7, {}, marks=pytest.mark.whole(part="closed_loop")) for mode in ("sync", "async")),
         *(pytest.param(mode, 8, 125, LONG, marks=pytest.mark.slow) for mode in ("sync", "async")),
     ],
 )

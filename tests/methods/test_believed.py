@@ -310,7 +310,7 @@ def test_answers_have_the_same_bits_alone_and_in_any_order(region):
     method = asked(fc)
     seen = view(region=region)
     together = method.ask(seen[torch.tensor([3, 4, 5])])
-    for k, row in each([(2, 5), (0, 3)] if region == "told" else enumerate((3, 4, 5))):
+    for k, row in each([(2, 5)] if region == "told" else enumerate((3, 4, 5))):
         forget()
         alone = method.ask(seen[torch.tensor([row])])
         for a, b in each(zip(together[:2], alone[:2], strict=True)):
@@ -428,6 +428,7 @@ def test_meshes_that_a_solid_was_built_of_do_not_pile_up(monkeypatch):
     assert after <= before + 1, (before, after)
 
 
+@pytest.mark.whole(part="methods")
 def test_scenes_that_batches_were_answered_in_are_let_go():
     """Each has tables and meshes of all objects of its batch, 1 MB an object."""
     methods = [asked(m) for m in (fc, contact, handover_va, intent)] + [asked(random, shown=())]

@@ -345,6 +345,7 @@ def test_candidates_of_a_search_with_errors_are_tried_once_each_and_those_with_s
         assert (margins[:n] >= oracle.MARGIN_M).all() and (margins[n:] < oracle.MARGIN_M).all()
 
 
+@pytest.mark.whole(part="methods")
 def test_grasps_of_a_search_with_errors_are_those_of_a_trial_alone():
     every = pickable()
     for rows in each((torch.tensor([5]), torch.tensor([11, 2, 7, 14]), torch.arange(0))):

@@ -258,6 +258,7 @@ def test_trials_beyond_the_file_are_other_trials_than_those_drawn_once(v3):
     assert not once.redraws(np.array([5000])).any() and not once.certificates(np.array([5000])).known.any()
 
 
+@pytest.mark.whole(part="trials")
 def test_a_trial_beyond_the_file_is_solved_by_the_answer_that_comes_with_it_whoever_is_searched_beside_it(v3):
     n = len(v3.own_certified.trial_id)
     ids = np.arange(n, n + 2)
