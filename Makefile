@@ -15,13 +15,14 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 # Two processes, each with one thread of torch and BLAS: more threads than cores only wait for each other.
 # And two goes, because a process that runs all tests grows to 9 GB. Where a process is killed the run ends: xdist would wait for ever.
 # Files come in their order: xdist begins with those of many tests, and two long tests of a short file would come last.
-BESIDE := $(addprefix tests/,kernels report)
+BESIDE := tests/kernels
 FIRST_GO := $(addprefix tests/,judge methods observe trials training)
 SECOND_GO := tests $(addprefix --ignore=,$(BESIDE) $(FIRST_GO))
 ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
+QUICK := $(shell grep -rl --include='test_*.py' 'mark\.check' tests)
 EVERY_DAY := -m "not slow and not gpu and not whole and not alone"
-PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q --durations=25
-TOGETHER := $(PYTEST) -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
+PYTEST := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -q
+TOGETHER := $(PYTEST) --durations=25 -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 unexport PYTHONDONTWRITEBYTECODE  # else each of these processes compiles package and tests anew
 
 test: $(VENV)/.installed-test  ## linters, types, and the tests of every day; tells what was left out and how to get it
@@ -30,7 +31,7 @@ test: $(VENV)/.installed-test  ## linters, types, and the tests of every day; te
 	$(TOGETHER) $(EVERY_DAY) $(SECOND_GO)
 
 alone: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -q --durations=25 -m "alone and not slow and not gpu and not whole" $(ALONE)
+	$(BIN)/python -m pytest -q -m "alone and not slow and not gpu and not whole" $(ALONE)
 
 beside: lint  # linters, and tests for as long as `alone` takes
 	$(PYTEST) $(EVERY_DAY) $(BESIDE)
@@ -53,7 +54,7 @@ check:  ## before every commit: lint, contracts, the quick half of golden and a 
 	@$(MAKE) --no-print-directory stale
 
 quick-tests: $(VENV)/.installed-test
-	$(BIN)/python -m pytest -q -m check
+	$(PYTEST) -n 2 --dist loadfile --max-worker-restart 0 -m check $(QUICK)
 
 golden: $(VENV)/.installed-test  ## rewrites tests/golden.json; CONTRIBUTING.md says when that is allowed
 	$(BIN)/python tests/support/golden.py --write
