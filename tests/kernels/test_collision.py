@@ -19,9 +19,10 @@ from r2h_batch.judge.planner import Planner
 from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.kernels.plan.lines import path_clearance, straight_lines
 from r2h_batch.scene.objects import load_objects
-from r2h_batch.scene.robot import ShapeKind, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
+from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics, gripper_primitives_at, lever_bound_for_sphere
 from r2h_batch.scene.robot_file import load_robot
 from r2h_batch.scene.scene import Scene
+from r2h_batch.types import CollidingPair
 
 BAND_M = 1e-4
 """Inside it float32 may decide either way."""
@@ -170,6 +171,34 @@ def test_edges_certified_free_never_penetrate_when_sampled_densely(scene, hand_m
     assert certified >= least and refused >= 5
 
 
+def test_an_edge_from_beside_the_table_into_its_side_is_not_free(scene):
+    """Short edges between postures that reach below the table's top in front of it: against postures close together."""
+    rng = np.random.default_rng(0)
+    stages, _ = oracle.random_stages(scene, rng, 1)
+    stages[0].T_world_hand[2, 3] += 3.0  # no hand is near
+
+    def free(q):
+        clear, pair, _ = check(scene, oracle.place(scene, stages), q.reshape(1, -1, 6))
+        return clear.reshape(q.shape[:-1]), pair.reshape(q.shape[:-1])
+
+    q = rng.uniform([-0.7, -1.2, 0.2, -3, -3, -3], [0.7, 0.4, 2.2, 3, 3, 3], (20_000, 6)).astype(np.float32)
+    height = ee_pose(scene.robot, q)[:, 2, 3]
+    q = q[(height > -0.25) & (height < -0.01)]
+    a = np.repeat(q[free(q)[0]], 4, 0)
+    b = a + rng.normal(size=a.shape).astype(np.float32) * np.float32(0.15)
+    a, b = (x[free(b)[0]] for x in (a, b))
+    n, s = len(a), np.linspace(0, 1, 65)[:, None]
+    clear, pair = free(a[:, None] * (1 - s) + b[:, None] * s)
+    goals = torch.zeros((n, 8, 6))
+    goals[:, 0] = torch.from_numpy(b)
+    count, margin = torch.ones(n, dtype=torch.int32), torch.zeros(8 * n)
+    planner = Planner(scene, oracle.place(scene, stages * n))
+    certified = planner.straight(torch.from_numpy(a), goals.flatten(0, 1), count, margin, int(CERTIFY)).numpy() == 0
+    assert not (certified & ~clear.all(1)).any(), "a part of the arm goes through the table"
+    into = ((pair == int(CollidingPair.TABLE)) | (pair == int(CollidingPair.OBJECT_TABLE))) & ~clear
+    assert into.any(1).sum() > 20 and certified.sum() > 0.99 * clear.all(1).sum()
+
+
 def clearance_of(scene, body_poses, paths):
     n = len(paths)
     width = max(len(p) for p in paths)
@@ -208,6 +237,16 @@ def test_path_clearance_is_the_smallest_sampled_one(scene):
             assert 0 <= body[k] <= len(scene.part_names) - 1 and 1 <= pair[k] <= 6
     print(f"\n{len(off)} paths, nearest {dict(pairs)}: off by {min(off) * 1e3:.3f} to {max(off) * 1e3:.3f} mm")
     assert len(off) >= 15 and len(pairs) >= 3
+
+
+def test_the_clearance_of_a_posture_that_is_held_is_exact(scene):
+    """No motion and no tolerance: pairs that are nearly as near as the nearest do not pass for nearer."""
+    stages, base = oracle.random_stages(scene, np.random.default_rng(7), 150)
+    least, _, _ = clearance_of(scene, oracle.place(scene, stages), [np.stack([q, q]) for q in base])
+    rows = np.flatnonzero((least > BAND_M) & (least < CAP_M - BAND_M))[:25]
+    truth = [oracle.mujoco_scene(scene, stages[k]).clearances(base[k], cap=CAP_M).least for k in rows]
+    assert len(rows) == 25
+    np.testing.assert_allclose(least[rows], truth, atol=2e-5)
 
 
 def test_object_motion_radii_bound_every_point_and_match_the_robots_own_bound(scene):
