@@ -1,6 +1,8 @@
 """Overlap of the gripper with an object, and the distance of its fingers from a region: against float64 and
 python-fcl."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -143,3 +145,19 @@ def test_region_distance_agrees_with_float64(count: int) -> None:
         assert float(distance[i]) == pytest.approx(twin, abs=2e-5), i
         assert (part[i] < 0) == (twin >= 0.05)
     assert min(seen.values()) >= count // 37, seen
+
+
+def test_of_a_gripper_in_a_region_of_boxes_the_fingers_count_and_the_palm_does_not() -> None:
+    robot, gap, cap = load_robot(), 0.05, 0.05
+    cubes = [trimesh.creation.box((size, size, size)) for size in (0.02, 0.03, 0.09)]
+    boxes = [np.array([[[0.0] * 3, [c.extents[0] / 2] * 3, *np.eye(3)]]) for c in cubes]
+    tables = grasp_tables([replace(model_of(c), receiver_boxes=b) for c, b in zip(cubes, boxes)], robot)
+    middles = gripper_primitives_at(robot, gap)[:, :3, 3]
+    palm, pad = middles[robot.gripper_part.index("body")], middles[robot.gripper.names.index("left_pad")]
+    T = np.stack([np.linalg.inv(pose_at(*at)) for at in (palm, pad, pad)])
+    opening = torch.full((3,), gap)
+    found, part = region_distance(tables, torch.tensor(T).float(), torch.arange(3, dtype=torch.int32), opening)
+    twin = [_gripper_clearance64(c, x, gap, cap, True, True) for c, x in zip(cubes, T)]
+    assert found.tolist() == pytest.approx(twin, abs=2e-5)
+    assert found[0] > 0 > found[1:].max()
+    assert all(robot.gripper_motion[int(i)] != "fixed" for i in part if i >= 0)
