@@ -10,9 +10,12 @@ from problems import Batch, Problems, default_evaluator, make_batch, solve
 from rounds import each
 
 from r2h_batch import load_benchmark
-from r2h_batch.config import PlanConfig
+from r2h_batch.config import HOME_Q, PlanConfig
 from r2h_batch.judge import search
-from r2h_batch.judge.motion.time_law import time_path
+from r2h_batch.judge.motion.time_law import limits, pace, path_time, time_path
+from r2h_batch.judge.planner import Planner
+from r2h_batch.kernels.plan import shortcut as kernel
+from r2h_batch.kernels.plan.codes import CERTIFY
 from r2h_batch.methods import random
 from r2h_batch.types import CRITERIA, PlanReason, Scores
 
@@ -54,6 +57,55 @@ def test_shortcuts_never_make_a_path_slower_and_mostly_quicker():
     before, after = time_s(raw)[found], time_s(short)[found]
     assert found.sum() >= 15
     assert (after <= before + 1e-4).all() and (after < before - 0.01).mean() >= 0.5, after - before
+
+
+def shortened(path: np.ndarray, tries: int) -> tuple[np.ndarray, np.ndarray]:
+    """Paths and their lengths after so many tries, nothing being in their way."""
+    evaluator, n = default_evaluator(), len(path)
+    scene, batch = evaluator.scene, make_batch(default_evaluator().scene, n)
+    away = batch.trials.T_world_hand.clone()
+    away[:, 2, 3] += 3.0
+    index, hand, opening = batch.trials.object_index, batch.trials.hand_index, torch.full((n,), 0.08)
+    planner = Planner(scene, scene.body_poses(index, hand, batch.T_obj_ee, away, opening))
+    corners = torch.from_numpy(path.astype(np.float32))
+    postures = corners.flatten(0, 1)
+    assert planner.check(postures, torch.ones(len(postures), dtype=torch.bool), path.shape[1])[0].all()
+    out, length = torch.zeros(n, 32, 6), torch.full((n,), path.shape[1], dtype=torch.int32)
+    out[:, : path.shape[1]] = corners
+    inputs = {
+        "tries": tries, "enough": 0.0, "pace": pace(evaluator.config.execute, planner.joint_weight), "seed": 0,
+        "edge_mode": CERTIFY, "trial": torch.arange(n, dtype=torch.int32), "key": torch.arange(n, dtype=torch.int32),
+        "margin": torch.zeros(n),
+    }  # fmt: skip
+    planner(kernel.shortcut, n, inputs=inputs, outputs={"path": out, "length": length}, chunk=1)
+    return out.double().numpy(), length.numpy()
+
+
+def test_a_detour_in_free_space_is_pulled_straight_and_what_a_change_leaves_over_goes():
+    rng, home = np.random.default_rng(0), np.array(HOME_Q)
+    ends = home + rng.uniform(-0.1, 0.1, (2, 24, 6))
+    path = np.stack([ends[0], home + rng.choice([-0.4, 0.4], (24, 6)), ends[1]], 1).astype(np.float32)
+
+    once, length = shortened(path, 1)
+    assert (length == 3).all()
+    a, corner, b = path.astype(np.float64).transpose(1, 0, 2)
+    law, weight = default_evaluator().config.execute, default_evaluator().scene.robot.joint_weight
+    speed, acceleration = limits(law)
+    d = np.abs(np.stack([corner - a, b - corner]) * weight).max(-1)
+    ramp = np.minimum(speed, np.sqrt(acceleration * d)) / acceleration
+    t = np.where(d < speed**2 / acceleration, 2 * ramp, d / speed + ramp)
+    line = a + (t[0] / t.sum(0))[:, None] * (b - a)
+    np.testing.assert_allclose(once[:, 1], corner + 0.9 * (line - corner), atol=1e-5)  # in all joints
+    np.testing.assert_array_equal(once[:, [0, 2]], path[:, [0, 2]])
+
+    # two points joined are a waypoint more, and of four one can be left out: in free space three are always quicker
+    much, length = shortened(path, 12)
+    assert (length == 3).all()
+    before, after = (
+        path_time(torch.from_numpy(x[:, :3]).float(), torch.full((24,), 3, dtype=torch.int32), law, weight)
+        for x in (once, much)
+    )
+    assert (after <= before + 1e-6).all() and (after < before - 1e-3).any()
 
 
 def test_a_long_way_to_a_far_goal_is_looked_for_again(monkeypatch):
