@@ -30,12 +30,12 @@ FIGURES_SINCE = (
 earlier version may not stand on a page (tests/test_figures.py)."""
 
 EARLIER = frozenset(
-    {"closed_loop", "families", "judge_again", "learn", "r2h_v3", "registry_arms", "robots", "robustness", "sees"}
+    {"closed_loop", "families", "judge_again", "learn", "registry_arms", "robots", "robustness", "sees"}
 )
 """Benches of rates that were measured before subjects went from the package and files moved (CHANGELOG, Removed), and not since:
 three hours of them. bench/SOURCES.md names each with its commit. Since then the person of r2h-v2 has a head, which took at most
-2.0 points from a method in a split of Table I, and Received has the object in another place. `r2h_v3` is later than all that;
-files that it measures have changed without changing a verdict. Whoever measures one takes it out."""
+2.0 points from a method in a split of Table I, and Received has the object in another place. Whoever measures one takes it
+out."""
 
 PACKAGES = (
     "warp-lang",

@@ -16,8 +16,8 @@ ROWS = {
     "networks": "`bench/options/networks`",
     "robots": "`bench/options/robots`",
     "robustness": "`bench/options/robustness`",
-    "scanned": "`bench/options/scanned`",
-    "scans": "`bench/options/scans`",
+    "scanned": "`bench/options/scanned*`",
+    "scans": "`bench/options/scans*`",
     "r2h_v3": "`r2h_batch/report/compare/rows/r2h-v3-*`",
 }
 """JSON -> where its rows are; the others are made by the command alone."""
