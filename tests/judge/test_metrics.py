@@ -306,6 +306,16 @@ def test_a_clearance_is_a_bound_below_0_and_no_length_from_its_cap_on_or_where_i
         assert all(column.tolist() == expected for column in found.T), to
 
 
+def test_up_is_where_a_vessels_opening_points_in_the_world_and_nowhere_without_one():
+    scene, turns = default_evaluator().scene, trimesh.transformations.random_rotation_matrix
+    T = np.stack([turns(np.random.default_rng(k).random(3)) for k in range(len(scene.objects))])
+    held = SimpleNamespace(objects=torch.arange(len(T), dtype=torch.int32))
+    given: Any = SimpleNamespace(scene=scene, held=held, T_world_obj=torch.from_numpy(T).float())
+    expected = [np.full(3, np.nan) if o.up is None else x[:3, :3] @ o.up for x, o in zip(T, scene.objects, strict=True)]
+    np.testing.assert_allclose(metrics.Evidence.up.fget(given), np.stack(expected), atol=1e-6)
+    assert 0 < np.isnan(expected).any(1).sum() < len(T)
+
+
 def test_slack_takes_off_what_is_apart_and_what_is_deep_but_never_makes_an_overlap_of_a_gap():
     distance = torch.tensor([0.03, 0.001, 0.0, -0.001, -0.03, torch.nan])
     found = bound_with_slack(distance, torch.full_like(distance, 0.002))
