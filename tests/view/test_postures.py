@@ -75,7 +75,7 @@ def test_who_holds_an_object_into_the_head_is_told_so_in_words_and_picture(at_he
             continue
         found.append(row["trial_id"])
         assert drawing.stored.asked.nearest.other == "head" and told in drawing.witness.caption
-        why = explanation(reader, row["trial_id"], "heads")
+        why = explanation(reader.run, row["trial_id"], "heads", lambda: reader)
         assert told in why.witness and ("within 10 cm of the head" in why.why) == bool(kept)
         assert "receiver head" not in str(why) or not kept
         assert not kept or f"by {-1e3 * row['margin_plan_m']:.1f} mm or more" in why.witness
