@@ -1,6 +1,7 @@
 """What nobody wants of a handover, in numbers: how bad a pose is for each aim of bench/adversary.py.
 
-Distances of points in float64, made here: nothing of the verdict is asked but how near the robot is to the body.
+Distances of points in float64, made here: of the judge come only how far the pads close, where that moves the object, and how
+near the robot is to the body.
 """
 
 from collections.abc import Callable
@@ -12,12 +13,13 @@ from torch import Tensor
 
 from r2h_batch import Evaluator
 from r2h_batch.base import se3
+from r2h_batch.judge.grasp import attach
 from r2h_batch.scene.person import eyes_of, heads_of
 from r2h_batch.scene.robot import Robot, ShapeKind, gripper_primitives_at
 from r2h_batch.types import Trials
 
-POINTS, GRIPPER_GAP_M = 512, 0.05
-"""Points of an object; how far its gripper is open where it is measured."""
+POINTS = 512
+"""Points of an object."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +34,7 @@ class Setting:
     """(P,) bool"""
     up: Tensor | None
     """(3,) from a vessel's base to its opening"""
-    G: Tensor
-    """(G, 3) points of the gripper, frame ee"""
+    robot: Robot
     palm: Tensor
     normal: Tensor
     ball: Tensor
@@ -154,29 +155,30 @@ def setting(evaluator: Evaluator, trials: Trials, i: int) -> Setting:
         pick = torch.cat([pick, torch.nonzero(wanted)[:, 0]])
     return Setting(
         torch.from_numpy(np.array(model.points))[pick].double(), wanted[pick], sharp[pick], up,
-        gripper_points(robot), palm, normal, ball, eyes_of(receiver[None].float())[0].double(),
+        robot, palm, normal, ball, eyes_of(receiver[None].float())[0].double(),
         heads_of(receiver[None].float())[0].double(), torch.cat([receiver[3:5, :3], axes]),
     )  # fmt: skip
 
 
-def gripper_points(robot: Robot) -> Tensor:
-    """Points of the gripper (G, 3) at a middling opening, frame ee: middles of its shapes, and their ends along their axes."""
-    T = gripper_primitives_at(robot, GRIPPER_GAP_M)
+def gripper_points(robot: Robot, opening_m: Tensor) -> Tensor:
+    """Points of the gripper (K, G, 3) at K gaps of the pads, frame ee: middles of its shapes, and their ends along their axes."""
+    T = gripper_primitives_at(robot, opening_m.numpy())
     points = []
-    for frame, kind, size in zip(T, robot.gripper.kind, robot.gripper.size, strict=True):
+    for n, (kind, size) in enumerate(zip(robot.gripper.kind, robot.gripper.size, strict=True)):
         half = {
             ShapeKind.SPHERE: (size[0], size[0], size[0]),
             ShapeKind.CAPSULE: (size[0], size[0], size[1] + size[0]),
             ShapeKind.CYLINDER: (size[0], size[0], size[1]),
         }.get(ShapeKind(int(kind)), tuple(size))
-        ends = [sign * x * frame[:3, k] for k, x in enumerate(half) for sign in (-1, 1)]
-        points += [frame[:3, 3], *(frame[:3, 3] + end for end in ends)]
-    return torch.from_numpy(np.array(points))
+        ends = [sign * x * T[:, n, :3, k] for k, x in enumerate(half) for sign in (-1, 1)]
+        points += [T[:, n, :3, 3], *(T[:, n, :3, 3] + end for end in ends)]
+    return torch.from_numpy(np.stack(points, 1))
 
 
-def held(s: Setting, T_obj_ee: Tensor, T_world_ee: Tensor, body_m: Tensor) -> Held:
-    """K poses."""
-    A, B = T_obj_ee.double(), T_world_ee.double()
+def held(s: Setting, T_obj_ee: Tensor, T_world_ee: Tensor, opening_m: Tensor, shift_m: Tensor, body_m: Tensor) -> Held:
+    """K poses, with the pads closed and the object where they have moved it."""
+    A, B = attach(T_obj_ee.double(), shift_m.double()), T_world_ee.double()
     T = se3.matmul(B, se3.inverse(A))
-    W, G = (se3.apply(M[:, None], points[None]) for M, points in ((T, s.P), (B, s.G)))
+    W = se3.apply(T[:, None], s.P[None])
+    G = se3.apply(B[:, None], gripper_points(s.robot, opening_m.double()))
     return Held(W, G, T, B, body_m.double())

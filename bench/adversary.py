@@ -84,10 +84,12 @@ class Pool:
 
     T_obj_ee: Tensor
     T_world_ee: Tensor
+    opening_m: Tensor
+    shift_m: Tensor
     body_m: Tensor
 
     def __getitem__(self, rows: Tensor) -> "Pool":
-        return Pool(self.T_obj_ee[rows], self.T_world_ee[rows], self.body_m[rows])
+        return Pool(*(x[rows] for x in vars(self).values()))
 
     def __add__(self, other: "Pool") -> "Pool":
         ours, theirs = vars(self).values(), vars(other).values()
@@ -123,7 +125,7 @@ class Search:
         return Found(row, float(bad[k]), last.T_obj_ee[k], last.T_world_ee[k])
 
     def _worst_first(self, aim: Aim, pool: Pool) -> tuple[Pool, Tensor]:
-        bad = aim.bad(self.setting, held(self.setting, pool.T_obj_ee, pool.T_world_ee, pool.body_m))
+        bad = aim.bad(self.setting, held(self.setting, **vars(pool)))
         top = bad.argsort(descending=True)[:KEPT]
         return pool[top], bad[top]
 
@@ -134,7 +136,8 @@ class Search:
         parents = pool[torch.randint(min(PARENTS, len(pool.body_m)), (n,), generator=g)]
         moved = se3.orthonormalise(twist.retract(parents.T_world_ee, torch.randn(n, 6, generator=g) * scale))
         scores = self.evaluator.score(parents.T_obj_ee[None], moved[None], self.trial, stages="pose")
-        return Pool(parents.T_obj_ee, moved, scores.body_m)[torch.nonzero(scores.success)[:, 0]]
+        pool = Pool(parents.T_obj_ee, moved, scores.opening_m, scores.grasp_shift_m, scores.body_m)
+        return pool[torch.nonzero(scores.success)[:, 0]]
 
 
 def attacked(name: str, options: argparse.Namespace, report: Report) -> None:
@@ -144,21 +147,23 @@ def attacked(name: str, options: argparse.Namespace, report: Report) -> None:
     ids = 2 * options.first + torch.arange(options.trials)
     trials, g = benchmark.trials_with_ids(ids), torch.Generator().manual_seed(options.seed)
     A, B = drawn(evaluator, trials, options.poses, g)
-    passes = []
+    parts = []
     for lo in range(0, len(trials), 8):  # a call of some thousand rows
         scores = evaluator.score(A[lo : lo + 8], B[lo : lo + 8], trials[lo : lo + 8], stages="pose")
-        passes.append((scores.success.view(-1, options.poses), scores.body_m.view(-1, options.poses)))
-    success, body_m = (torch.cat(x) for x in zip(*passes, strict=True))
+        own = (scores.success, scores.opening_m, scores.grasp_shift_m, scores.body_m)
+        parts.append([x.view(-1, options.poses) for x in own])
+    success, *rest = (torch.cat(x) for x in zip(*parts, strict=True))
     report.add(f"adversary.{name}.pass_share", float(success.double().mean()))
     found: dict[str, list[Found]] = {aim: [] for aim in AIMS}
     concerned = dict.fromkeys(AIMS, 0)
     for i in range(len(trials)):
         s, ok = setting(evaluator, trials, i), success[i]
+        pool = Pool(A[i], B[i], *(x[i] for x in rest))[ok]
         search = Search(evaluator, trials[i : i + 1], s, options)
         for name_of, aim in AIMS.items():
             if aim.concerns(s):
                 concerned[name_of] += 1
-                one = search.worst(aim, Pool(A[i], B[i], body_m[i])[ok], g, i) if ok.any() else None
+                one = search.worst(aim, pool, g, i) if ok.any() else None
                 found[name_of] += [one] if one else []
     for name_of, aim in AIMS.items():
         told(report, figure_of(name, name_of), aim, found[name_of], concerned[name_of])
