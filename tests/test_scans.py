@@ -43,7 +43,7 @@ def test_no_committed_json_names_a_place_on_a_machine():
 
 
 def asked(folder, about, **other):
-    return argparse.Namespace(folder=folder, about=about, trials=2, methods=["random"], json=None, **other)
+    return argparse.Namespace(folder=folder, about=about, trials=2, trials_v3=2, methods=["random"], json=None, **other)
 
 
 def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monkeypatch):
@@ -70,7 +70,8 @@ def test_rows_and_json_of_a_folder_do_not_say_where_it_is(scans, tmp_path, monke
         ("brick", "S0", None),
         ("post", "S1", "z<0.4"),
     ]
-    assert found["rates"]["random"]["S0"]["n"] == found["rates"]["random"]["S1"]["n"] == 2
+    for rates in (found["rates"], found["rates_v3"]):
+        assert rates["random"]["S0"]["n"] == rates["random"]["S1"]["n"] == 2
     assert set(found["by_object"]["random"]) == {"brick", "post"} and found["origin"] == {
         "source": "a test",
         "made": "by trimesh",

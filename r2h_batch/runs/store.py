@@ -15,11 +15,10 @@ import hashlib
 import os
 import shlex
 from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from importlib import import_module
 from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,7 +34,6 @@ from r2h_batch.base.io.write import atomic_path, csv_cell
 from r2h_batch.base.validate import boolean, check_arguments, sequence_of, text
 from r2h_batch.base.validate import path as path_of
 from r2h_batch.runs.before import tell_unread
-from r2h_batch.runs.explain import Explanation
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import TIMING, Shard, read_header, schema_of, shards_of
 from r2h_batch.runs.methods import Entry, read_methods
@@ -189,35 +187,6 @@ class Run:
             f"Run({where}: {planned} trials ({splits}) of {self.header.get('protocol', '?')}, {self.robot}; "
             f"methods: {methods}{more})"
         )
-
-    def explain(
-        self, trial: int | str, method: str | None = None, code: Collection[str] = ()
-    ) -> Explanation:
-        """Why one trial passed or failed, as `r2h-batch why` says it; a failed plan is judged again for its pair of bodies.
-
-        Args:
-            trial: its number, or what its owner calls it.
-            method: the full name or the sweep's word (fc); None: the only method.
-            code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
-
-        Returns:
-            The criterion that failed first, its margin, what decides it, what would have passed, and the command that
-            shows it; as text it has a line for each.
-
-        Raises:
-            RunError: there is no such trial or method, or several methods and none is named.
-        """
-        names = list(self.methods)
-        if method is None and len(names) != 1:
-            raise RunError(
-                f"{self.folder}: has {len(names)} complete methods; name one: {', '.join(names) or 'none'}"
-            )
-        name = names[0] if method is None else self.named(method)
-        number, run, slug = self.trial_id(str(trial)), self.run_of(name), self.entry(name).slug
-        own = next(e.name for e in run.entries if e.slug == slug)
-        why = import_module("r2h_batch.view.why")  # by its name: what judges again stands above
-        found: Explanation = why.explanation(run, number, own, why.reader_of(run, code))
-        return replace(found, method=name)
 
     def complete(self, word: str | None = None) -> str:
         """The full name of a method whose rows are all there.

@@ -74,6 +74,37 @@ def reader_of(run: "Run", code: Collection[str] = ()) -> "Callable[[], Reader]":
     return reader
 
 
+def explain(
+    run: "Run", trial: int | str, method: str | None = None, code: Collection[str] = ()
+) -> "Explanation":
+    """Why one trial passed or failed, as `r2h-batch why` says it; a failed plan is judged again for its pair of bodies.
+
+    Args:
+        run: what `load_run` gives.
+        trial: its number, or what its owner calls it.
+        method: the full name or the sweep's word (fc); None: the only method.
+        code: functions of your benchmark or families that the run names and that may run, such as FILE.py:function.
+
+    Returns:
+        The criterion that failed first, its margin, what decides it, what would have passed, and the command that
+        shows it; as text it has a line for each.
+
+    Raises:
+        RunError: there is no such trial or method, or several methods and none is named.
+    """
+    from r2h_batch.runs.files import RunError
+
+    names = list(run.methods)
+    if method is None and len(names) != 1:
+        raise RunError(
+            f"{run.folder}: has {len(names)} complete methods; name one: {', '.join(names) or 'none'}"
+        )
+    name = names[0] if method is None else run.named(method)
+    number, one, slug = run.trial_id(str(trial)), run.run_of(name), run.entry(name).slug
+    own = next(e.name for e in one.entries if e.slug == slug)
+    return replace(explanation(one, number, own, reader_of(one, code)), method=name)
+
+
 def explanation(
     run: "Run", trial: int, method: str, reader: "Callable[[], Reader]"
 ) -> "Explanation":

@@ -13,6 +13,7 @@ from r2h_batch.runs import load_run
 from r2h_batch.runs.explain import CALIBRATION_M, ROOMS, explained, headline, presented_words, reason_of
 from r2h_batch.runs.files import RunError
 from r2h_batch.verdicts import CRITERIA, Outcome, Room
+from r2h_batch.view import explain
 
 LIMITS = {"w_min_m": 0.002, "w_max_m": 0.085, "reach_radius_m": 0.1}
 OUTCOMES = np.array([0, 0, 0, 0, 2, 2, 3, int(Outcome.INVALID_SIM), 0, 1, 4, 5])
@@ -136,16 +137,16 @@ def test_a_run_explains_its_trials_and_its_repr_is_a_line(run):
     assert "configuration" not in repr(loaded) and len(repr(loaded)) < 300
     assert "methods: m, n" in repr(loaded) and "12 trials (6 S0, 6 S1)" in repr(loaded)
     for trial, code in enumerate(OUTCOMES.tolist()):
-        found = loaded.explain(trial, "m")
+        found = explain(loaded, trial, "m")
         wanted = CRITERIA[code - 1] if 0 < code < 6 else ""
         assert (found.criterion, found.trial, found.method) == (wanted, trial, "m")
         assert f"--trial {trial} --strips" in found.picture
     with pytest.raises(RunError, match="name one: m, n"):
-        loaded.explain(3)
+        explain(loaded, 3)
     with pytest.raises(RunError, match="has no trial 99"):
-        loaded.explain(99, "m")
+        explain(loaded, 99, "m")
     with pytest.raises(RunError, match=f"has no trial {1 << 63}"):  # no column of 64 bits holds it
-        loaded.explain(1 << 63, "m")
+        explain(loaded, 1 << 63, "m")
     table = loaded.to_pandas()
     assert len(table) == 24 and set(table.method) == {"m", "n"} and table.margin_plan_m.notna().any()
 

@@ -9,6 +9,7 @@ from made_runs import write_run
 from r2h_batch.__main__ import main
 from r2h_batch.runs import load_run
 from r2h_batch.runs.files import RunError
+from r2h_batch.view import explain
 from r2h_batch.view.drawing import Drawing
 from r2h_batch.view.stored import Reader
 
@@ -22,7 +23,7 @@ def test_why_of_a_failed_plan_says_what_its_picture_shows(run, capsys):
         assert main(["why", str(run), str(trial), "--method", "random"]) == 0
         said = capsys.readouterr().out
         assert Drawing(reader.trial(trial, "random")).witness.caption in said
-        assert said == f"{load_run(run).explain(trial, 'random')}\n"  # Python says the same
+        assert said == f"{explain(load_run(run), trial, 'random')}\n"  # Python says the same
         assert "criterion:  plan" in said and f"{1e3 * row['margin_plan_m']:+.1f} mm" in said
 
 
