@@ -1,5 +1,6 @@
 """The command `report`: table, page, gallery. Light until there is work."""
 
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import check_output_file, check_output_folder, write_text
 from r2h_batch.report.statistics.few import FEW, check_few
 
@@ -85,10 +87,16 @@ def report(
     from r2h_batch.report.compare.stored import stored_rows
     from r2h_batch.runs.store import join, load_run
 
-    loaded = load_runs(runs, method)
+    folders: dict[str, Path] = {}
+    for given in runs:
+        place = os.path.realpath(given)
+        if place in folders:
+            LOG.info(f"report: {printable(given)} is given twice, and counted once")
+        folders.setdefault(place, given)
+    loaded = load_runs(tuple(folders.values()), method)
     stored = join(loaded)
     if not stored.methods:
-        raise ValueError(f"{runs[0]}: no method is complete; run its sweep again to go on")
+        raise ValueError(f"{runs[0]}: {stored.not_complete()}")
     if format == "html":
         from r2h_batch.report.page import page
         from r2h_batch.report.statistics.common import common_trials
@@ -163,7 +171,11 @@ def report(
         print(out)
     for name in stored.unfinished:
         missing = sum(s.last - s.first for s in stored.missing(name))
-        LOG.info(f"report: {name} is not in the table, {missing} of its trials are not scored yet")
+        why = stored.entry(name).hindrance
+        LOG.info(
+            f"report: {name} is not in the table, {missing} of its trials are not scored yet"
+            + (why and f"; {why}")
+        )
     return 1 if stored.unfinished else 0
 
 

@@ -313,6 +313,8 @@ def read_header(folder: Path) -> dict[str, Any]:
     """run.json: of this format, with its own hash, in a folder without links."""
     path = folder / "run.json"
     if not os.path.lexists(path):
+        if (folder / "shards").is_dir():  # a run beside it would be another one
+            raise RunError(f"{printable(folder)}: run.json is missing; copy it again")
         near = f"; did you mean {printable(found)}?" if (found := _near(folder)) else ""
         there = "is a file; give a run folder" if os.path.lexists(folder) else "no such folder"
         what = "no run.json, so it is not a run folder" if folder.is_dir() else there

@@ -8,9 +8,9 @@ from typing import Any
 
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.registry import READS
-from r2h_batch.runs.files import RunError
+from r2h_batch.runs.files import RunError, is_held
 from r2h_batch.runs.header import Method, checked, read_json, shard_at, shard_count
-from r2h_batch.runs.shard import StoredShard, stored_files
+from r2h_batch.runs.shard import StoredShard, number_of, shard_files, stored_files
 
 _BEFORE = {
     **dict.fromkeys(("fc", "handover-va", "contact", "intent", "learned"), "estimates"),
@@ -64,6 +64,19 @@ class Entry:
     def complete(self) -> bool:
         """Whether every shard is stored; run.json may claim a million, so none is listed."""
         return len(self.shards) == shard_count(self.header)
+
+    @property
+    def hindrance(self) -> str:
+        """What keeps shards out that sweeping again is no answer to, and what to do; empty where there is nothing."""
+        for path in shard_files(self.folder, self.slug):
+            if path.suffix == ".parquet" and number_of(path) is None:
+                words = "no shard has such a name, so it was passed over; give it its own name back"
+                return f"{printable(path)}: {words}"
+        if any(is_held(path) for path in self.claims().values()):
+            done = sum(s.shard.last - s.shard.first for s in self.shards.values())
+            planned = sum(self.header["trials"].values())
+            return f"a sweep is at work, {done} of {planned} trials of {self.name} are scored; wait for it"
+        return ""
 
     @property
     def reads(self) -> str:

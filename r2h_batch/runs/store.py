@@ -174,8 +174,18 @@ class Run:
                 f"{self.folder}: trials {numbers} have the id {shown} in {LABELS}; give a trial's number"
             )
         if not found:
-            raise RunError(f"{self.folder}: no trial has the id {shown}")
+            raise RunError(f"{self.folder}: no trial has the id {shown}{self._ids_for(word)}")
         return found[0]
+
+    def _ids_for(self, word: str) -> str:
+        """The trials of the object that a word names, or all of them, for a message; empty where no method is complete."""
+        if not self.methods:
+            return ""
+        rows = self.trials(self.methods[0], ["trial_id", "object"])
+        ids, objects = rows["trial_id"].to_pylist(), rows["object"].to_pylist()
+        if own := [i for i, name in zip(ids, objects, strict=True) if name == word]:
+            return f"; trials of this object are {_listed(own)}"
+        return f"; there are {len(ids)}: {_listed(ids)}"
 
     def __repr__(self) -> str:
         planned = sum(self.header["trials"].values())
@@ -206,11 +216,26 @@ class Run:
                 f"{self.folder}: has several methods; choose one with --method: {listed}"
             )
         if not word:
-            raise RunError(f"{self.folder}: no method is complete; run its sweep again to go on")
+            raise RunError(f"{self.folder}: {self.not_complete()}")
         name = self.named(word)
         if name not in names:
-            raise RunError(f"{self.folder}: {name!r} is not complete; run its sweep again to go on")
+            raise RunError(f"{self.folder}: {self.not_complete(name)}")
         return name
+
+    def not_complete(self, method: str = "") -> str:
+        """That a method, or each of them, is not complete, and what to do about it, in words.
+
+        Args:
+            method: its name in the run; empty: all.
+        """
+        for folder in (run.folder for run in self.runs if not run.entries):
+            if (folder / "shards").is_dir() and not (folder / "methods").is_dir():
+                return (
+                    f"no method is known: {printable(folder / 'methods')} is missing; copy it too"
+                )
+        entries = [self.entry(method)] if method else self.entries
+        why = next(filter(None, (e.hindrance for e in entries)), "run its sweep again to go on")
+        return f"{f'{method!r} is not' if method else 'no method is'} complete; {why}"
 
     def holding(self, trial: int, words: Sequence[str] = (), *, judged: bool = True) -> list[str]:
         """The full names of complete methods that hold a trial. Commands ask before they import what draws or judges, so
@@ -253,9 +278,7 @@ class Run:
                     break
         if "outcome" not in found:
             ids = self.trials(method, ["trial_id"])["trial_id"].to_pylist()
-            shown = ", ".join(map(str, ids[:LISTED])) or "none"
-            more = f", ... up to {max(ids)}" if len(ids) > LISTED else ""
-            what = f"has no trial {str(trial)[:40]}; it has {len(ids)}: {shown}{more}"
+            what = f"has no trial {str(trial)[:40]}; it has {len(ids)}: {_listed(ids)}"
             raise RunError(f"{self.folder}: {method!r} {what}")
         return found
 
@@ -527,6 +550,12 @@ class Run:
                 hashes[name, "valid"].update(valid.tobytes())
                 hashes[name, "value"].update(_plain(column).tobytes())
         return hashlib.sha256(b"".join(h.digest() for h in hashes.values())).hexdigest()
+
+
+def _listed(ids: Sequence[int]) -> str:
+    """Numbers of trials for a message."""
+    shown = ", ".join(map(str, ids[:LISTED])) or "none"
+    return shown + (f", ... up to {max(ids)}" if len(ids) > LISTED else "")
 
 
 def picture_command(run: Run, method: str, trial: int) -> str:

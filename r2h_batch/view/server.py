@@ -88,7 +88,7 @@ class Viewer:
         self.reader, self.lock, self.ended = reader, threading.RLock(), threading.Event()
         names = list(reader.run.methods)
         if not names:
-            raise UsageError(f"{reader.where}: no method is complete; run its sweep again to go on")
+            raise UsageError(f"{reader.where}: {reader.run.not_complete()}")
         first = [reader.method(m) for m in methods] or names[:1]
         self.server = new_server(port)
         self.address = f"http://127.0.0.1:{self.server.get_port()}"

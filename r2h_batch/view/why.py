@@ -53,7 +53,7 @@ def _every_reason(run: "Run", method: str) -> int:
     methods = [run.complete(method)] if method or not run.methods else run.methods
     sys.stdout.write(brief(run, methods))
     for name in () if method else run.unfinished:
-        LOG.info(f"why: {name} is not complete; run its sweep again to go on")
+        LOG.info(f"why: {run.not_complete(name)}")
     return 1 if run.unfinished and not method else 0
 
 

@@ -19,6 +19,7 @@ from r2h_batch.report import table as report
 from r2h_batch.report.compare.stored import SHIPPED
 from r2h_batch.report.statistics import codes
 from r2h_batch.report.statistics.rates import OF_ALL
+from r2h_batch.runs.files import claim
 from r2h_batch.runs.store import join, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.types import Outcome
@@ -165,6 +166,46 @@ def test_an_unfinished_method_is_named_and_not_in_the_table(tmp_path, capsys):
     files_of(run.folder, "a")[0].unlink()
     assert command("report", run.folder) == 2
     assert "no method is complete" in capsys.readouterr().err
+
+
+def test_what_keeps_a_method_out_of_the_table_is_told_where_sweeping_again_is_no_answer(tmp_path, capsys):
+    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int), "b": np.zeros(8, int)}, 4, 4, shard_trials=3).folder
+
+    def told(code):
+        assert command("report", folder) == code
+        (line,) = capsys.readouterr().err.splitlines()
+        return line
+
+    file, claimed = files_of(folder, "b")[1], load_run(folder).entry("b").claim_path(1)
+    renamed = file.rename(file.with_name(f"{file.stem}_copy.parquet"))
+    assert renamed.name in told(1) and renamed.exists()
+    renamed.rename(tmp_path / file.name)
+    with claim(claimed):
+        line = told(1)
+        assert "3 of its trials are not scored yet" in line and "a sweep is at work, 5 of 8 trials of b" in line
+        with claim(claimed) as again:
+            assert again is None  # the report took nothing from the sweep
+    claimed.write_text("process 1 on another\n")  # of a sweep that died
+    assert "at work" not in told(1) and claimed.exists()
+    claimed.unlink()
+    files_of(folder, "a")[0].unlink()
+    with claim(claimed):
+        assert "no method is complete; a sweep is at work, 5 of 8" in told(2)
+    (folder / "methods").rename(tmp_path / "methods")
+    assert "methods is missing; copy it too" in told(2)
+    (tmp_path / "methods").rename(folder / "methods")
+    assert "no method is complete; run its sweep again to go on" in told(2)
+
+
+def test_a_folder_that_is_given_twice_is_in_the_table_once(tmp_path, capsys):
+    folder = write_run(tmp_path / "run", {"a": np.zeros(8, int)}, 4, 4).folder
+    (tmp_path / "link").symlink_to(folder)
+    assert command("report", folder) == 0
+    alone = capsys.readouterr()
+    assert command("report", folder, tmp_path / "run", tmp_path / "link") == 0
+    twice = capsys.readouterr()
+    assert twice.out == alone.out
+    assert twice.err.count("is given twice, and counted once") == 2
 
 
 def test_runs_of_several_robots_are_one_page_that_names_them_and_are_paired_only_when_asked(tmp_path, capsys):

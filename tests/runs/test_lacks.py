@@ -29,6 +29,8 @@ SEVERAL, UNJUDGED = "choose one with --method: random, m", "trial 3 of 'm' was n
 REFUSED = (
     ("why RUN 1 --method randm", NO_METHOD),
     ("why RUN 99999", NO_TRIAL),
+    ("why RUN -1", "no trial has the id '-1'; there are 12: 0, 1"),
+    ("why RUN cup", "no trial has the id 'cup'; trials of this object are 1, 4"),
     ("view RUN --method randm", NO_METHOD),
     ("view RUN --trial 99999", NO_TRIAL),
     ("view RUN --one-of-each --html OUT/x.html --method randm", NO_METHOD),

@@ -261,8 +261,7 @@ def pair_up(
     places = [run.folder.absolute().name for run in runs] if called is None else called
     for run, place in zip(runs, places, strict=True):
         if run.unfinished:
-            words = f"{run.unfinished[0]!r} is not complete; run its sweep again to go on"
-            raise ValueError(f"{run.folder}: {words}")
+            raise ValueError(f"{run.folder}: {run.not_complete(run.unfinished[0])}")
         streams += [_Stream(run, method, common.trials, place) for method in run.methods]
     if len(streams) < 2:
         only = ", ".join(s.method for s in streams) or "none"

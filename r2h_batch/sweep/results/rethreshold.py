@@ -124,7 +124,7 @@ def rethreshold(
     }
     stored = load_run(run).only(method)
     if not stored.methods:
-        raise ValueError(f"{run}: no method is complete; run its sweep again to go on")
+        raise ValueError(f"{run}: {stored.not_complete()}")
     sys.stdout.write(render(thresholds.rethreshold(stored, **grid), stored.methods))
     if words := never_judged(stored):
         print(notes_list(map(plain, words)))
