@@ -321,12 +321,22 @@ def test_the_gallery_of_a_run_of_two_folders_draws_each_method_in_its_own(tmp_pa
         (("report", "nothing"), "nothing: no such folder"),
         (("report", "utf16.yaml"), "is a file; give a run folder"),
         (("report", "empty"), "no run.json, so it is not a run folder"),
+        (("report", "runs/copied"), "runs/copied: run.json is missing; copy it again\n"),
+        (("sweep", "--config", "good.npz"), "good.npz: is no text in UTF-8; a YAML file in UTF-8 is allowed"),
+        (("ls", "benchmark", "kids.yaml"), "kids.yaml: people is kids; allowed are adults,"),
+        (("ls", "benchmark", "arm.yaml"), "arm.yaml: no robot is called 'UR5e', did you mean ur5e_2f85?; allowed are"),
         (("import", "robot", "a.URDF", "--base", "b", "--flange", "f", "--out", "o"), "write --urdf a.URDF"),
     ],
 )
 def test_what_a_path_is_is_told(line, words, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     Path("empty").mkdir()
+    Path("runs/copied/shards").mkdir(parents=True)
+    Path("runs/copied2").mkdir()
+    Path("runs/copied2/run.json").write_text("{}")  # another run, of nearly the same name
+    np.savez_compressed("good.npz", trial_id=np.arange(9))
+    Path("kids.yaml").write_text("people: kids\n")
+    Path("arm.yaml").write_text("robot: UR5e\n")
     Path("utf16.yaml").write_bytes("receiver: body\n".encode("utf-16"))
     assert main(list(line)) == 2
     said = capsys.readouterr().err

@@ -87,6 +87,11 @@ def read_trials_file(
     if path.suffix not in READERS:
         raise FileError(f"{where}: trials are an {', '.join(READERS)} file")
     columns = READERS[path.suffix](path)
+    if "T_obj_ee" in columns:
+        flag = "--motions" if "q" in columns else "--predictions"
+        raise FileError(
+            f"{where}: holds a method's answers (T_obj_ee), no trials; give it as {flag}"
+        )
     _convert(columns, taken(columns, where, DECLARES))
     if "skin" in columns:
         hand_set = _skins(columns, where)

@@ -99,12 +99,10 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
     try:
         own = named_benchmark(file.protocol)
         if "robot" in file.model_fields_set or "persons" in file.model_fields_set:
-            built = file.robot in ROBOTS
-            robot = robot_of(file.robot if built else str(path_within(folder, file.robot)))
-            own = own.on(robot, file.persons)
+            own = own.on(robot_of(file.robot, Path(path)), file.persons)
         people = own.people if file.trials is None else None  # those of a trials file have no body
         if file.people is not None:
-            people = people_of_word(file.people, folder)
+            people = people_of_word(file.people, Path(path))
         hand_set, listed, labels = _hands(file, folder, own, people), None, None
         objects = own.objects  # take longer to read than hands: what is wrong there is said first
         if file.objects:
@@ -146,7 +144,7 @@ def named_files(file: BenchmarkFile) -> list[tuple[str, str]]:
         if (name := file_of(o, field)) is not None
     ]
     own += [("trials", file.trials)] if file.trials is not None else []
-    own += [("people", file.people)] if file.people is not None and file.people not in WORDS else []
+    own += [("people", file.people)] if file.people is not None and _is_table(file.people) else []
     hands = [("hand_model", file.hand_model), *(("hand_set", e.file) for e in _hand_entries(file))]
     return own + [(field, name) for field, name in hands if name != BUILT_IN]
 
@@ -184,24 +182,37 @@ def _workplace(file: BenchmarkFile, path: str, base: Benchmark) -> Workplace:
     return Workplace(home, tuple(file.table.center), tuple(file.table.half))
 
 
-def robot_of(name: str) -> Robot:
-    """A built-in robot by its name, or the robot of a folder."""
+def robot_of(name: str, file: Path | None = None) -> Robot:
+    """A built-in robot by its name, or the robot of a folder: of one beside the benchmark's file, if that names it."""
     if name in ROBOTS:
         return load_robot(name)
-    if not Path(name).is_dir():
+    path = Path(name) if file is None else path_within(file.parent, name)
+    if not path.is_dir():
         how = f"allowed are {', '.join(ROBOTS)} and folders of r2h-batch import robot"
-        raise FileError(f"no robot is called {printable(name)!r}; {how}")
-    return read_robot(name)
+        what = f"no robot is called {printable(name)!r}{nearest(name.lower(), ROBOTS)}; {how}"
+        raise FileError(_said_in(file) + what)
+    return read_robot(path)
 
 
-def people_of_word(name: str, folder: Path = Path()) -> People:
-    """The built-in people of a word, or those of a file in the folder."""
+def people_of_word(name: str, file: Path | None = None) -> People:
+    """The built-in people of a word, or those of a table: of one beside the benchmark's file, if that names it."""
     if name in WORDS:
         return built_in_people(name)
-    if not name.lower().endswith(".csv"):
+    if not _is_table(name):
         how = f"allowed are {', '.join(WORDS)}, or a .csv of lengths"
-        raise FileError(f"people is {printable(name)}{nearest(name, WORDS)}; {how}")
-    return people_of(path_within(folder, name) if folder != Path() else Path(name))
+        what = f"people is {printable(name)}{nearest(name, WORDS)}; {how}"
+        raise FileError(_said_in(file) + what)
+    return people_of(Path(name) if file is None else path_within(file.parent, name))
+
+
+def _is_table(people: str) -> bool:
+    """Whether people are those of a file, not of a word."""
+    return people.lower().endswith(".csv")
+
+
+def _said_in(file: Path | None) -> str:
+    """The benchmark's file in front of a message."""
+    return "" if file is None else f"{printable(file)}: "
 
 
 def people_of(path: Path) -> People:

@@ -167,6 +167,8 @@ REFUSED = {
     "T_world_hand of row 2 is more than 10 m away": lambda: {"T_world_hand": bent((2, 0, 3), 450.0)},
     "has no shape; needed are": lambda: {"shape": None},
     "give either hand": lambda: {"hand": np.zeros(10, int)},
+    "answers \\(T_obj_ee\\), no trials; give it as --predictions": lambda: {"T_obj_ee": np.zeros((10, 4, 4))},
+    "no trials; give it as --motions": lambda: {"T_obj_ee": np.zeros((10, 4, 4)), "q": np.zeros((10, 6))},
     "unknown array 'hnad'": lambda: {"hnad": np.zeros(10, int)},
 }
 

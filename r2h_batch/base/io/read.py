@@ -434,6 +434,8 @@ def read_yaml(
         data = _plain_loader(text, deepest).get_single_data()
     except FileError:
         raise
+    except UnicodeDecodeError:
+        raise FileError(f"{shown}: is no text in UTF-8; a YAML file in UTF-8 is allowed") from None
     except (yaml.YAMLError, RecursionError, ValueError) as error:
         mark = getattr(error, "problem_mark", None)
         where = f" line {mark.line + 1}" if mark else ""
