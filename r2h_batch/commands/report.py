@@ -87,13 +87,13 @@ def report(
     from r2h_batch.report.compare.stored import stored_rows
     from r2h_batch.runs.store import join, load_run
 
-    folders: dict[str, Path] = {}
+    once: dict[str, Path] = {}
     for given in runs:
         place = os.path.realpath(given)
-        if place in folders:
+        if place in once:
             LOG.info(f"report: {printable(given)} is given twice, and counted once")
-        folders.setdefault(place, given)
-    loaded = load_runs(tuple(folders.values()), method)
+        once.setdefault(place, given)
+    loaded = load_runs(tuple(once.values()), method)
     stored = join(loaded)
     if not stored.methods:
         raise ValueError(f"{runs[0]}: {stored.not_complete()}")
