@@ -15,18 +15,21 @@ from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any, cast, get_args
 
+import numpy as np
 import torch
 
 from r2h_batch.base.command_line import counted
 from r2h_batch.base.errors import EndedError, FileError, UsageError
 from r2h_batch.base.gone import gone
 from r2h_batch.base.io.log import LOG
+from r2h_batch.base.io.read import printable
 from r2h_batch.base.launch.threads import on_threads
 from r2h_batch.base.own_imports import PACKAGE
 from r2h_batch.base.registry import METHOD_NAMES, METHODS, READS
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.base.user_code import HOW, UserFunction, load_function, raised, user_files
 from r2h_batch.base.validate import describe_value
+from r2h_batch.config import Workplace
 from r2h_batch.report.trained import KEY as TRAINED_ON
 from r2h_batch.runs import provenance
 from r2h_batch.runs.plugged import package_of_method, plugin_records
@@ -180,6 +183,21 @@ def set_up(sweep: Sweep) -> Setting:
     return setting
 
 
+def check_home(evaluator: "Evaluator") -> None:
+    """`UsageError` where the arm overlaps itself or the table at home, however far the gripper is open: no trial could pass."""
+    from r2h_batch.data.robot_pairs import touching
+
+    place, robot = evaluator.config.workplace, evaluator.scene.robot
+    if place == Workplace(robot.home_q):  # looked at when the robot was made
+        return
+    met = [m for m in touching(robot, np.array(place.home_q), place) if not m.endswith(")")]
+    if met:
+        how = "no motion can begin there; change table or home in the benchmark's file"
+        raise UsageError(
+            f"benchmark {printable(evaluator.benchmark.name)}: {', '.join(met)} overlap at home; {how}"
+        )
+
+
 def families_of(objects: Iterable["ObjectModel"]) -> dict[str, str]:
     """Category of the objects -> the module of its generator, where that is the user's and no entry point names it."""
     from r2h_batch.scene.families.family import FAMILIES
@@ -213,6 +231,7 @@ def prepare(
         benchmark, config, device=sweep.device, threads=sweep.threads,
         plans_in=sees if sees is not None and sees.plans else None,
     )  # fmt: skip
+    check_home(evaluator)
     robot, execute = benchmark.robot, config.execute
     about_robot: dict[str, Any] = {"name": robot.name, "digest": robot.digest}
     if robot.ik_missed and robot.family != "ur":
