@@ -256,6 +256,31 @@ def _printable_words(command: Any) -> Any:
     return [printable(c)[:MAX_TEXT] for c in command]
 
 
+def check_place(folder: Path) -> None:
+    """Refuse what `open_run` cannot write into, whatever the run; makes nothing.
+
+    Args:
+        folder: a run folder, or one that may be missing.
+
+    Raises:
+        RunError: it lies in a run folder, is a file, or holds something else.
+    """
+    if outer := run_folder_of(folder):
+        words = f"lies in the run folder {outer}, which holds its own files alone; {OTHER_OUT}"
+        raise RunError(f"{folder}: {words}")
+    path = folder / "run.json"
+    try:
+        if os.path.lexists(path) or not folder.exists():
+            return
+        names = [p.name for p in folder.iterdir() if not p.name.startswith((".", IMPORTED))]
+    except OSError as error:
+        words = f"cannot be written ({error.strerror or error}); {OTHER_OUT}"
+        raise RunError(f"{folder}: {words}") from error
+    if names and not os.path.lexists(path):  # another sweep may have begun meanwhile
+        words = f"not empty and not a run folder (it has {min(names)!r}); {OTHER_OUT}"
+        raise RunError(f"{folder}: {words}")
+
+
 def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = True) -> RunFolder:
     """Open a folder for writing: a new one, or one of the same configuration.
 
@@ -275,17 +300,10 @@ def open_run(folder: str | Path, header: Mapping[str, Any], *, exact: bool = Tru
     new["hash"] = run_hash(new)
     path = folder / "run.json"
     check_header(new, path)
-    if outer := run_folder_of(folder):
-        words = f"lies in the run folder {outer}, which holds its own files alone; {OTHER_OUT}"
-        raise RunError(f"{folder}: {words}")
+    check_place(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         if not os.path.lexists(path):
-            own = (".", IMPORTED)
-            names = [p.name for p in folder.iterdir() if not p.name.startswith(own)]
-            if names and not os.path.lexists(path):  # another sweep may have begun meanwhile
-                words = f"not empty and not a run folder (it has {min(names)!r}); {OTHER_OUT}"
-                raise RunError(f"{folder}: {words}")
             write_json_once(path, new)
     except OSError as error:
         words = f"cannot be written ({error.strerror or error}); {OTHER_OUT}"

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from r2h_batch.base.errors import nearest
 from r2h_batch.base.io.cache import is_cached
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.validate import describe_value
@@ -228,10 +229,10 @@ def load_objects(names: Sequence[str] | None = None) -> tuple[ObjectModel, ...]:
     wanted = OBJECT_NAMES if names is None else tuple(names)
     unknown = [n for n in wanted if n not in BUILT_IN_NAMES and n not in INSTANCE_NAMES]
     if unknown:
-        raise ValueError(
-            f"unknown object {unknown[0]!r}; the built-in objects are {', '.join(BUILT_IN_NAMES)}, and {INSTANCE_NAMES[0]} to"
-            f" {INSTANCE_NAMES[-1]} (r2h-batch ls families)"
-        )
+        allowed = f"the built-in objects are {', '.join(BUILT_IN_NAMES)}, and {INSTANCE_NAMES[0]} to {INSTANCE_NAMES[-1]}"
+        if hint := nearest(unknown[0], (*BUILT_IN_NAMES, *INSTANCE_NAMES)):
+            allowed = "r2h-batch ls objects lists them"
+        raise ValueError(f"unknown object {unknown[0]!r}{hint}; {allowed} (r2h-batch ls families)")
     return tuple(_stored_object(n) for n in wanted)
 
 
@@ -616,6 +617,15 @@ def call_of(argument: str, *, pieces: bool = True) -> dict[str, Any]:
         "receiver": match["receiver"],
         "pieces": pieces,
     }
+
+
+def check_call(call: Mapping[str, Any]) -> None:
+    """Raises what `build_object` raises for such arguments where words and names are enough to tell."""
+    label = printable(Path(call["mesh"]).stem)
+    _check_build(call["split"], call["receiver"] is not None, None)
+    mesh_import.check_name(Path(call["mesh"]), label)
+    if call["split"] == "S1" and call["receiver"] is None:
+        raise mesh_import.no_region(label)
 
 
 @lru_cache(maxsize=128)

@@ -113,7 +113,7 @@ def _run(
     from r2h_batch.runs.files import RunError
     from r2h_batch.runs.header import motions_left_out
     from r2h_batch.runs.store import write_labels
-    from r2h_batch.runs.writing import open_run
+    from r2h_batch.runs.writing import check_place, open_run
     from r2h_batch.sweep import jobs as sweep_jobs
     from r2h_batch.sweep.cluster import ClusterError, reach
     from r2h_batch.sweep.request import requested
@@ -121,6 +121,7 @@ def _run(
 
     try:
         _check_installed(options)
+        check_place(Path(options.out))
         if options.address:
             reach(options.address, options.ray_timeout)
         sweep = requested(options)

@@ -1,12 +1,13 @@
 """A sweep: the options of a command line, and what they mean (`requested`). One value goes through all of the room."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from r2h_batch.base.errors import UsageError
 from r2h_batch.base.io.read import printable
+from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.base.user_code import load_function
 from r2h_batch.config import EstimateConfig, EvalConfig, ExecutionError, ObjectErrors
 from r2h_batch.runs import provenance
@@ -70,10 +71,17 @@ class Sweep(Options):
         Raises:
             ValueError: one line; a `UsageError` where a split has no object.
         """
-        from r2h_batch.trials.edit import edited, said_splits
+        from r2h_batch.trials.edit import added_calls, edited, said_splits
+        from r2h_batch.trials.load import load_benchmark
 
         if splits := said_splits(self.choice):  # before any mesh is built
             self._check_splits(splits)
+        calls = added_calls(self.choice)
+        if calls and not (self.objects or self.trials_file):
+            base = load_benchmark(self.benchmark or DEFAULT_BENCHMARK, pieces=pieces)
+            if base.listed is None:
+                added = [(printable(Path(c["mesh"]).stem), c["split"]) for c in calls]
+                self._check_shares([*_named(base), *added], dict.fromkeys(self.splits, self.trials))
         return edited(self.choice, pieces=pieces)
 
     def plan(self, benchmark: "Benchmark") -> dict[str, int]:
@@ -82,11 +90,7 @@ class Sweep(Options):
         if benchmark.listed is None:
             self._check_splits({o.split for o in benchmark.objects})
             plan = dict.fromkeys(splits, self.trials)
-            if none := [
-                name for name, (own, *_) in self._of_added(benchmark, plan).items() if not own
-            ]:
-                words = f"a larger --trials reaches {printable(none[0])}"
-                raise UsageError(f"{self.shares(benchmark, plan)}, and {words}")
+            self._check_shares(_named(benchmark), plan)
             return plan
         if self.trials != Options.trials:
             words = "a trials file has its own number, so leave --trials out"
@@ -107,24 +111,34 @@ class Sweep(Options):
         """
         if not self.object_mesh or benchmark.listed is not None:
             return ""
+        return self._shares(_named(benchmark), plan)
+
+    def _shares(self, objects: Sequence[tuple[str, str]], plan: Mapping[str, int]) -> str:
+        """`shares` of the names and splits of all objects."""
         words = [
-            f"{printable(name)} gets {own or 'none'} of {n} trials of {split} ({objects} objects)"
-            for name, (own, n, split, objects) in self._of_added(benchmark, plan).items()
+            f"{printable(name)} gets {own or 'none'} of {n} trials of {split} ({of_split} objects)"
+            for name, (own, n, split, of_split) in self._of_added(objects, plan).items()
         ]
         how = "--objects FOLDER judges your meshes alone"
         return f"--object-mesh adds to the benchmark's objects: {', '.join(words)}; {how}"
 
+    def _check_shares(self, objects: Sequence[tuple[str, str]], plan: Mapping[str, int]) -> None:
+        """`UsageError` where an object of --object-mesh gets no trial; these are the last of the objects."""
+        none = [name for name, (own, *_) in self._of_added(objects, plan).items() if not own]
+        if none:
+            words = f"a larger --trials reaches {printable(none[0])}"
+            raise UsageError(f"{self._shares(objects, plan)}, and {words}")
+
     def _of_added(
-        self, benchmark: "Benchmark", plan: Mapping[str, int]
+        self, objects: Sequence[tuple[str, str]], plan: Mapping[str, int]
     ) -> dict[str, tuple[int, int, str, int]]:
         """Object of --object-mesh -> its trials, those of its split, the split, and how many objects that has."""
-        found = {}
-        for model in benchmark.objects[len(benchmark.objects) - len(self.object_mesh) :]:
-            of_split = [o for o in benchmark.objects if o.split == model.split]
-            rounds, rest = divmod(plan.get(model.split, 0), len(of_split))
-            turn = next(i for i, o in enumerate(of_split) if o is model)
-            own = rounds + (turn < rest)
-            found[model.name] = (own, plan.get(model.split, 0), model.split, len(of_split))
+        found, before = {}, len(objects) - len(self.object_mesh)
+        for place, (name, split) in enumerate(objects[before:], before):
+            of_split = [i for i, (_, other) in enumerate(objects) if other == split]
+            rounds, rest = divmod(plan.get(split, 0), len(of_split))
+            own = rounds + (of_split.index(place) < rest)
+            found[name] = (own, plan.get(split, 0), split, len(of_split))
         return found
 
     def _check_splits(self, known: set[str]) -> None:
@@ -239,6 +253,11 @@ def _sees(options: Options) -> "Sees | None":
     from r2h_batch.observe.sees import Sees
 
     return Sees.parse(options.sees)
+
+
+def _named(benchmark: "Benchmark") -> list[tuple[str, str]]:
+    """Name and split of each object."""
+    return [(o.name, o.split) for o in benchmark.objects]
 
 
 def _loop(options: Options) -> "Loop | None":

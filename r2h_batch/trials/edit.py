@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from r2h_batch.scene.hand_file import HandChoice
 from r2h_batch.scene.objects import (
     ObjectModel,
     call_of,
+    check_call,
     load_objects,
     object_from_argument,
     turned,
@@ -57,11 +59,12 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
     Raises:
         ValueError: one line, mostly a `FileError`.
     """
+    robot = robot_of(choice.robot) if choice.robot else None  # words first: to load takes seconds
+    calls = added_calls(choice, pieces=pieces)
     base = load_benchmark(choice.benchmark or DEFAULT_BENCHMARK, pieces=pieces)
     if choice.until:
         base = base.until(choice.until)
     objects = _objects_of(choice.objects, pieces) if choice.objects else base.objects
-    calls = [call_of(mesh, pieces=pieces) for mesh in choice.object_mesh]
     for beside in (Path(call["mesh"]).with_suffix(".yaml") for call in calls):
         if beside.is_file():
             LOG.info(
@@ -101,9 +104,21 @@ def edited(choice: BenchmarkChoice, *, pieces: bool = False) -> Benchmark:
             head_clearance_m=base.head_clearance_m if receiver == "body" else 0.0,
         )  # fmt: skip
     persons = choice.persons or base.persons
-    if choice.robot or persons != base.persons:
-        base = base.on(robot_of(choice.robot) if choice.robot else base.robot, persons)
+    if robot is not None or persons != base.persons:
+        base = base.on(base.robot if robot is None else robot, persons)
     return in_frame(base, choice.turn) if choice.turn else base
+
+
+def added_calls(choice: BenchmarkChoice, *, pieces: bool = False) -> list[dict[str, Any]]:
+    """The arguments of `build_object` of each --object-mesh.
+
+    Raises:
+        ValueError: one line, where the text is enough to tell; no mesh is read.
+    """
+    calls = [call_of(mesh, pieces=pieces) for mesh in choice.object_mesh]
+    for call in calls:
+        check_call(call)
+    return calls
 
 
 def said_splits(choice: BenchmarkChoice) -> set[str]:

@@ -37,6 +37,9 @@ def test_the_sixteen_objects_come_in_benchmark_order_with_their_splits():
     assert [m.split for m in models] == ["S0"] * len(objects.S0_NAMES) + ["S1"] * len(objects.S1_NAMES)
     with pytest.raises(ValueError, match="unknown object 'spoon'"):
         load_objects(["spoon"])
+    with pytest.raises(ValueError, match=r"unknown object 'cupp', did you mean cup\?") as refused:
+        load_objects(["cupp"])
+    assert "hammer" not in str(refused.value), "all names beside the nearest one"
 
 
 @every_object

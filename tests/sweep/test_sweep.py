@@ -150,3 +150,60 @@ def test_a_part_without_a_shard_says_so_instead_of_that_its_rows_are_stored(fake
         told = capsys.readouterr().err
         assert ("part 2 of 2 has nothing to do, because the 40 trials are 1 shard" in told) == empty, part
     assert "reused" in told
+
+
+def never(*_, **__):
+    raise RuntimeError("too late: something slow has begun")
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("--object-mesh ok.stl:s0", "FILE:S0, FILE:S1"),
+        ("--object-mesh ok.stl:S2", "split is 'S2'"),
+        ("--object-mesh ok.stl:S0:handle", "S0 object has no receiver region"),
+        ("--object-mesh ok.fbx", "convert it"),
+        ("--object-mesh none.stl", "no file none.stl"),
+        ("--object-mesh ok.stl:S1", "needs the receiver's region"),
+        ("--robot UR5", "no robot is called 'UR5'"),
+        ("--out ok.stl", "ok.stl: cannot be written"),
+    ],
+)
+def test_words_that_cannot_be_meant_are_refused_before_a_benchmark_is_loaded(
+    tmp_path, capsys, monkeypatch, line, words
+):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("r2h_batch.trials.edit.load_benchmark", never)
+    monkeypatch.setattr("r2h_batch.trials.load.load_benchmark", never)
+    (tmp_path / "ok.stl").write_text("solid")
+    assert sweep.main(["--method", "random", *line.split()]) == 2
+    told = capsys.readouterr()
+    assert told.out == "" and words in told.err and told.err.count("\n") == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["ok.stl"]
+
+
+def test_a_mesh_that_gets_no_trial_is_refused_before_it_is_built(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("r2h_batch.trials.edit.object_from_argument", never)
+    (tmp_path / "plane.stl").write_text("solid")
+    line = f"--benchmark r2h-v0 --method random --object-mesh {tmp_path}/plane.stl:S0 --trials 2 --out {tmp_path}/run"
+    assert sweep.main(line.split()) == 2
+    assert "plane gets none of 2 trials of S0" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+    with pytest.raises(RuntimeError, match="too late"):  # enough trials: it is built
+        sweep.main(line.replace("--trials 2", "--trials 99").split())
+
+
+def test_a_table_through_the_robot_is_refused_once_and_a_lower_one_is_not(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(jobs, "files_of", never)  # what follows
+    text = "protocol: r2h-v0\nobjects: [{built_in: cup}]\ntable: {center: [0, 0, %s], half: [0.475, 0.6, 0.025]}\n"
+    path = tmp_path / "high.yaml"
+    line = f"--benchmark {path} --method random --splits S0 --trials 2 --execute.sim none --out {tmp_path}/run".split()
+    path.write_text(text % 0.5)
+    assert sweep.main(line) == 2
+    told = capsys.readouterr()
+    assert told.out == "" and told.err.count("\n") == 1
+    assert "benchmark high" in told.err and "forearm and table" in told.err and "table or home" in told.err
+    assert not (tmp_path / "run").exists()
+    path.write_text(text % -0.1)
+    with pytest.raises(RuntimeError, match="too late"):
+        sweep.main(line)

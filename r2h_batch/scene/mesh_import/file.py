@@ -53,17 +53,20 @@ def load_robot_meshes(paths: Sequence[Path], label: str) -> list[trimesh.Trimesh
         return [_load([path], printable(label), ROBOT_SUFFIXES)[0] for path in paths]
 
 
+def check_name(path: Path, label: str, suffixes: Sequence[str] = SUFFIXES) -> None:
+    """Raises `ObjectMeshError` where a path names no mesh file, before it is read."""
+    shown = printable(path)
+    if path.suffix.lower() not in suffixes:
+        raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(suffixes)}; convert it")
+    if not os.path.exists(path):  # also of a name that is too long
+        raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(suffixes)})")
+
+
 def _load(
     paths: list[Path], label: str, suffixes: Sequence[str], *, points: bool = False
 ) -> list[trimesh.Trimesh]:
     for path in paths:
-        shown = printable(path)
-        if path.suffix.lower() not in suffixes:
-            raise ObjectMeshError(
-                f"{label}: {shown} is not one of {', '.join(suffixes)}; convert it"
-            )
-        if not os.path.exists(path):  # also of a name that is too long
-            raise ObjectMeshError(f"{label}: no file {shown}; give a mesh ({', '.join(suffixes)})")
+        check_name(path, label, suffixes)
     what = paths[0].name if len(paths) == 1 else f"{len(paths)} meshes"
     shown = printable(paths[0])
     try:

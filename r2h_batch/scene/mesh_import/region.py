@@ -61,6 +61,13 @@ def part_of_faces(
     return given[carried(closed)].astype(np.uint8)
 
 
+def no_region(label: str) -> ObjectMeshError:
+    """The refusal of an S1 object without a region."""
+    return ObjectMeshError(
+        f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces"
+    )
+
+
 def receiver_region(
     solid: trimesh.Trimesh,
     receiver: Receiver,
@@ -80,9 +87,7 @@ def receiver_region(
         label: the object's name in errors.
     """
     if receiver is None:
-        raise ObjectMeshError(
-            f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces"
-        )
+        raise no_region(label)
     words = [w.strip() for w in receiver.split(",")] if isinstance(receiver, str) else []
     if words and all(w in names for w in words):  # parts, such as `handle,guard`
         region = np.isin(parts, [names.index(w) for w in words])
