@@ -592,15 +592,24 @@ LOOKS_RIGID, LAST_ROW, FAR_M, OBJECT_M = 1e-2, 1e-6, 10.0, 0.35
 _PIECE = 65_536  # rows looked at together, which bounds the memory
 
 
+SLOW_S = 100.0
+"""A median time of a method's answer above this may be in milliseconds [choice]."""
+
+
 def doubts(predictions: Predictions, motions: Motions | None = None) -> list[str]:
-    """Warnings about the answers, one line each: how many poses are not rigid, are far away as in other
-    units, are the grasp once more, or look as if grasp and handover were exchanged; how many motions hold no numbers."""
+    """Warnings about the answers, one line each: times as in milliseconds; how many poses are not rigid, are far away as
+    in other units, are the grasp once more, or look as if grasp and handover were exchanged; how many motions hold no numbers."""
     lines = []
     if motions is not None and (holes := _holes(motions)).any():
         first = int(predictions.trial_id[int(holes.int().argmax())])
         lines.append(
             f"{int(holes.sum())} of {len(predictions)} motions (the first of trial {first}) hold NaN or infinity and count as"
             " invalid"
+        )
+    seconds = predictions.t_method_s
+    if seconds is not None and (median := float(seconds.nanmedian())) > SLOW_S:
+        lines.append(
+            f"the median of t_method_s is {median:.0f} s a trial: times are in seconds ({declaration('time_unit', 'ms')})"
         )
     posed = predictions if motions is None else predictions[motions.length == 0]
     named = (("T_obj_ee", "grasps", predictions), ("T_world_ee", "handover poses", posed))

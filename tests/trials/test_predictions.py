@@ -126,6 +126,15 @@ def test_what_is_wrong_with_a_pose_is_told_of_each_kind():
     assert line.startswith("7 of 8 grasps (T_obj_ee; the first of trial 1)") and line.count(";") == 7
 
 
+def test_times_of_answers_that_look_like_milliseconds_are_told():
+    T = torch.eye(4).repeat(4, 1, 1)
+    T[:, :3, 3] = torch.tensor([0.02, 0.01, 0.1])
+    told = doubts(Predictions(torch.arange(4), T, T @ T, torch.tensor([250.0, torch.nan, 240.0, 3.0])))
+    assert len(told) == 1 and "240 s a trial" in told[0] and "time_unit=ms" in told[0]
+    for seconds in ([90.0, torch.nan, 1e4, 2.0], [torch.nan] * 4):
+        assert doubts(Predictions(torch.arange(4), T, T @ T, torch.tensor(seconds))) == []
+
+
 ODD = {
     "a translation without numbers": ((0, 3), torch.nan, "hold NaN"),
     "an infinite one": ((2, 3), torch.inf, "hold NaN"),
