@@ -183,6 +183,7 @@ def poses(**said):
     ("said", "words"),
     [
         ({"length_unit": "millimetre"}, "length_unit is 'millimetre'; allowed are m, cm, mm, inch"),
+        ({"lenght_unit": "mm"}, "unknown array 'lenght_unit', did you mean length_unit?; allowed are trial_id"),
         ({"length_unit": 1000}, "length_unit is int64 (); it must be one word: m, cm, mm, inch"),
         ({"frame": "worlds"}, "frame is 'worlds', did you mean world?; allowed are world, base_link, base, hand"),
         ({"frame": ["world", "base"]}, "frame is 'base', 'world' in different rows; a file declares one word"),

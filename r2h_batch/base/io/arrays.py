@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable
 
 Spec = tuple[str, tuple[int | str, ...]]
@@ -48,9 +48,9 @@ def check_arrays(
     """
     if only and (unknown := sorted(set(arrays) - set(specs))):
         shown = repr(printable(unknown[0])[:60])
-        raise FileError(
-            f"{where}: unknown array {shown}; allowed are {', '.join((*specs, *taken))}"
-        )
+        allowed = (*specs, *taken)
+        hint = nearest(unknown[0], allowed)
+        raise FileError(f"{where}: unknown array {shown}{hint}; allowed are {', '.join(allowed)}")
     lengths: dict[str, int] = {}
     for name, spec in specs.items():
         if name in arrays:
