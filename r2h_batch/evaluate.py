@@ -76,6 +76,7 @@ class Evaluator:
     called = moved = (
         False  # True after the first call of poses, of motions was checked for common mistakes
     )
+    look_again = False  # True from a first call with successes until a later one, in which all rows fail, was checked
 
     @suggest_names
     def __init__(
@@ -150,7 +151,7 @@ class Evaluator:
             execution_error=ExecutionError(),
             object_errors=ObjectErrors(),
         )
-        twin.called = True  # the poses of a search are no mistakes
+        twin.called, twin.look_again = True, False  # the poses of a search are no mistakes
         return twin
 
     @suggest_names
@@ -167,7 +168,8 @@ class Evaluator:
         path.
 
         A row has the same bits for any batch size, order, chunk and thread count on one device. The
-        first call on a CPU warns of poses that look transposed, exchanged or in millimetres.
+        first call on a CPU warns of poses that look transposed, exchanged or in millimetres; if it had successes, so does the
+        first later call without any.
 
         Args:
             T_obj_ee: grasps, (B, 4, 4): the ee in the object's frame, m. (N, K, 4, 4) for K candidates
@@ -218,7 +220,12 @@ class Evaluator:
             if gradients and stages == "pose":
                 judge = partial(self.score, stages="pose")
                 scores = differentiable(judge, scores, (T_obj_ee, T_world_ee), trials)
-            if first and (words := self.hint(scores, T_obj_ee, T_world_ee, trials)):
+            look = first
+            if first:
+                self.look_again = bool(scores.success.any())
+            elif self.look_again and not T_obj_ee.is_cuda and not scores.success.any():
+                look, self.look_again = True, False
+            if look and (words := self.hint(scores, T_obj_ee, T_world_ee, trials)):
                 warnings.warn(words, stacklevel=3)
             # Copies: an optimizer's step in place must not change the stored inputs, from which
             # pictures of these scores are drawn.

@@ -234,6 +234,23 @@ def test_the_palm_in_place_of_the_ees_position_is_named(name, of_the_hand):
     assert len(lines) == 1 and re.search(words, lines[0]), lines
 
 
+@pytest.mark.check
+def test_a_later_call_in_which_all_rows_fail_is_looked_at_once_after_a_right_one(fresh, solved):
+    trials, (T_obj_ee, T_world_ee), _ = solved
+    evaluator = fresh()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert evaluator.score(T_obj_ee, T_world_ee, trials, "pose").success.all()
+        evaluator.score(T_obj_ee, T_world_ee, trials, "pose")
+        evaluator.kinematic.score(T_world_ee, T_obj_ee, trials, "pose")  # a search's
+    with pytest.warns(UserWarning, match="exchanged"):
+        wrong = evaluator.score(T_world_ee, T_obj_ee, trials, "pose")
+    assert not wrong.success.any()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        evaluator.score(T_world_ee, T_obj_ee, trials, "pose")
+
+
 def test_to_pass_more_criteria_is_no_evidence(fresh, solved):
     """A convention is named if rows succeed in it: far from the hand all rows pass Safe, and none Reach."""
     trials, (T_obj_ee, T_world_ee), _ = solved
