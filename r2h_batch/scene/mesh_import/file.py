@@ -54,7 +54,13 @@ def load_robot_meshes(paths: Sequence[Path], label: str) -> list[trimesh.Trimesh
 
 
 def check_name(path: Path, label: str, suffixes: Sequence[str] = SUFFIXES) -> None:
-    """Raises `ObjectMeshError` where a path names no mesh file, before it is read."""
+    """Raises `ObjectMeshError` where a path names no mesh file, before it is read.
+
+    Args:
+        path: of the file.
+        label: the object's name in errors.
+        suffixes: allowed endings.
+    """
     shown = printable(path)
     if path.suffix.lower() not in suffixes:
         raise ObjectMeshError(f"{label}: {shown} is not one of {', '.join(suffixes)}; convert it")

@@ -62,7 +62,11 @@ def part_of_faces(
 
 
 def no_region(label: str) -> ObjectMeshError:
-    """The refusal of an S1 object without a region."""
+    """The refusal of an S1 object without a region.
+
+    Args:
+        label: the object's name in errors.
+    """
     return ObjectMeshError(
         f"{label}: an S1 object needs the receiver's region: {WAYS}, or an .npy file of faces"
     )
