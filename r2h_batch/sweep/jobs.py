@@ -423,7 +423,9 @@ def resolve(sweep: Sweep) -> None:
             ]  # one of a package is looked at, and the package named where it cannot be had
     for name in sweep.names:
         method = _method(name, seeing=sweep.seeing is not None)
-        if not method.built_in and not sweep.overwrite:
+        # the code of a plug-in's method decides what run it is: another one is refused with the run, and --overwrite is no help
+        own = not method.built_in and not package_of_method(method.found.spec)
+        if own and not sweep.overwrite:
             made_of = _made_of(name, method, _files(name, method))
             check_files(Path(sweep.out), _title(name, method), made_of)
     if sweep.predictor and "predicted_contacts" in sweep.seen:

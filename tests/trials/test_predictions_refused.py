@@ -109,7 +109,7 @@ LINK.external_attr = 0o120777 << 16
         *(([(name, b"x")], "outside the archive") for name in ("../a.npy", "C:x.npy")),
         ([(LINK, "/etc/passwd")], "symbolic link"),
         ([("notes.txt", b"x")], "is not an .npy array"),
-        ([("sub/T_obj_ee.npy", npy(np.zeros(1)))], "unknown array 'sub/T_obj_ee'; allowed are trial_id"),
+        ([("sub/T_obj_ee.npy", npy(np.zeros(1)))], "unknown array 'sub/T_obj_ee', did you mean T_obj_ee?; allowed are trial_id"),
     ],
 )  # fmt: skip
 def test_an_archive_with_other_members_is_refused_and_nothing_is_extracted(tmp_path, more, words):

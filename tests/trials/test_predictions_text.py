@@ -86,8 +86,9 @@ def test_csv_with_windows_line_ends_or_empty_lines_is_the_same(change, tmp_path)
 
 BAD = {
     "must hold an object of lists": [GOOD],
-    "unknown array 'methods'; allowed are trial_id, T_obj_ee, T_world_ee, t_method_s, method, benchmark, reads, frame,"
-    " length_unit, angle_unit, time_unit, quaternion_order, joint_names;": GOOD | {"methods": "x"},
+    "unknown array 'methods', did you mean method?; allowed are trial_id, T_obj_ee, T_world_ee, t_method_s, method,"
+    " benchmark, reads, frame, length_unit, angle_unit, time_unit, quaternion_order, joint_names;": GOOD
+    | {"methods": "x"},
     "'T_obj_ee' is not a list of numbers or texts of one shape": GOOD | {"T_obj_ee": [[1.0], [2.0, 3.0], []]},
     "'trial_id' has true or false among numbers": GOOD | {"trial_id": [False, True, *GOOD["trial_id"][2:]]},
     "'T_obj_ee' has true or false among numbers": GOOD
