@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import random
+import sys
 from pathlib import Path
 
 import pytest
@@ -37,3 +38,19 @@ def test_each_fault_is_one_change_of_code_that_compiles_and_follows_from_the_see
 def test_a_file_without_a_place_for_a_fault_is_refused(mutate):
     with pytest.raises(ValueError, match="no place"):
         mutate.mutant('"""Only words."""\nname: int\n', random.Random(0))
+
+
+def test_a_fault_is_killed_by_a_test_that_fails_and_not_by_one_that_a_mark_leaves_out(
+    mutate, tmp_path, monkeypatch, capsys
+):
+    (tmp_path / "pytest.ini").write_text("[pytest]\naddopts = -m 'not slow'\nmarkers = slow\n")
+    (tmp_path / "larger.py").write_text("def larger(a, b):\n    return max(a, b)\n")
+    (tmp_path / "test_larger.py").write_text(
+        "import larger, pytest\n@pytest.mark.slow\ndef test_it():\n    assert larger.larger(1, 2) == 2\n"
+    )
+    monkeypatch.setattr(mutate, "ROOT", tmp_path)
+    line = ["mutate.py", "larger.py", "--count", "1", "test_larger.py"]
+    monkeypatch.setattr(sys, "argv", line)
+    assert mutate.main() == 2 and capsys.readouterr().out.startswith("no test ran")
+    monkeypatch.setattr(sys, "argv", [*line, "--", "-m", "slow"])
+    assert mutate.main() == 0 and "1 of 1 killed" in capsys.readouterr().out

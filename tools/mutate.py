@@ -5,7 +5,8 @@ python tools/mutate.py FILE TEST... [--count 20] [--seed 0] [--minutes 30]
 A copy of the tree gets one fault at a time: a comparison turned, an operator exchanged, a constant moved, a condition negated,
 min and max exchanged, an assignment left without its change. Nothing is kept by hand: faults follow from file, seed and number,
 so a table can be made again, and code that moves needs no care. A row says killed or SURVIVED; a survivor shows what changed.
-Exit codes: 0 all killed, 1 one survived, 2 the tests fail without any fault. Kernels with a fault are compiled anew.
+Exit codes: 0 all killed, 1 one survived, 2 the tests fail without any fault, or none of them ran: a mark leaves them out
+(`... TEST -- -m slow` runs those). Kernels with a fault are compiled anew.
 """
 
 import argparse
@@ -25,6 +26,8 @@ ROOT = Path(__file__).resolve().parents[1]
 LINKED = ("assets", "docs", "bench")
 """Folders that are linked into the copy: no fault goes there."""
 LEFT_OUT = (".git", ".venv", "build", "runs")
+NO_TEST_RAN = 5
+"""pytest's exit code."""
 MOST_S = 1500
 """A test run that takes longer counts as failed: a fault may make a loop endless."""
 EDGE: dict[type, type] = {
@@ -163,15 +166,15 @@ def copy_tree(to: Path) -> None:
             shutil.copy2(item, to / item.name)
 
 
-def fails(tree: Path, tests: list[str]) -> tuple[bool, str]:
-    """Whether one of the tests fails in a copy, and what pytest printed."""
+def tested(tree: Path, tests: list[str]) -> tuple[int, str]:
+    """pytest's exit code for the tests in a copy, and what it printed."""
     environment = {**os.environ, "PYTHONPATH": str(tree), "PYTHONDONTWRITEBYTECODE": "1"}
     line = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *tests]
     try:
         done = subprocess.run(line, cwd=tree, env=environment, capture_output=True, text=True, timeout=MOST_S)
     except subprocess.TimeoutExpired:
-        return True, f"ended after {MOST_S} s"
-    return done.returncode != 0, done.stdout + done.stderr
+        return 1, f"ended after {MOST_S} s"
+    return done.returncode, done.stdout + done.stderr
 
 
 def main() -> int:
@@ -187,9 +190,10 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         tree = Path(folder)
         copy_tree(tree)
-        failed, said = fails(tree, options.tests)
-        if failed:
-            print(f"the tests fail without any fault:\n{said[-2000:]}")
+        code, said = tested(tree, options.tests)
+        if code:
+            why = "no test ran: does a mark leave them out? ... TEST -- -m slow" if code == NO_TEST_RAN else ""
+            print(f"{why or 'the tests fail without any fault'}:\n{said[-2000:]}")
             return 2
         print("| | line | fault | | s | before | after |\n|--:|--:|---|---|--:|---|---|")
         for k in range(options.count):
@@ -197,7 +201,7 @@ def main() -> int:
                 break
             found, begin = mutant(text, random.Random(f"{options.file} {options.seed} {k}")), time.monotonic()
             (tree / options.file).write_text(found.text, "utf-8")
-            killed, _ = fails(tree, options.tests)
+            killed = tested(tree, options.tests)[0] not in (0, NO_TEST_RAN)
             tried, survived = tried + 1, survived + (not killed)
             shown = "killed | " if killed else "SURVIVED | "
             row = f"| {k} | {found.line} | {found.kind} | {shown}{time.monotonic() - begin:.0f} |"
