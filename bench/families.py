@@ -592,7 +592,7 @@ BENCH = Bench(
     measure,
     MEASURES,
     {
-        "--rows": {"default": ROOT / "runs" / "families", "type": Path, "help": "folder of the sweeps"},
+        "--rows": {"default": Path("runs/families"), "type": Path, "help": "folder of the sweeps"},
         "--trials": {"default": TRIALS, "help": "of each split of Table I"},
         "--kept": {"action": "store_true", "help": "write what earlier calls measured, without measuring more"},
         "--counted": {

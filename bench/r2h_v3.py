@@ -85,10 +85,8 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             for track, trials in (("seen", options.seen_trials), ("truth", options.trials)):
                 shards = -(-2 * trials // SHARD)
                 waiting += [(track, pool.submit(_swept, home, track, trials, k, shards)) for k in range(shards)]
-            rooms = {mm: pool.submit(parts.get, f"room {mm}", partial(_room, home, mm)) for mm in ROOMS_MM}
             for track, piece in waiting:
                 spent[track] += piece.result()
-            concurrent.futures.wait([*rooms.values()])
         runs, each = {track: load_run(home / track) for track in TRACKS}, options.checked
         # a process for each method: what the ones before have in memory is gone
         with ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=1) as pool:
@@ -109,8 +107,6 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             "trials": options.trials,
             "methods": {name: _about(runs["truth"], name) for name in runs["truth"].methods},
             "checked": [c for part in checked for c in part.result()],
-            "rooms": {str(mm): x.result() for mm, x in rooms.items()},
-            "room_trials": ROOM_TRIALS,
             "ms": parts.get("cost", partial(_cost, runs["truth"])),  # alone on the machine
             "seen_trials": options.seen_trials,
             "seen": {name: _about(runs["seen"], name) for name in runs["seen"].methods},
@@ -227,35 +223,6 @@ def _checked(folder: Path, name: str, each: int) -> list[dict[str, Any]]:
     return checked
 
 
-ROOMS_MM = (0, 10, 20)
-ROOM_TRIALS = 40
-
-
-def _room(home: Path, mm: int) -> dict[str, int]:
-    """Outcomes of Learned until it presents, where planning keeps another room from the person that it believes in."""
-    from unittest import mock
-
-    from r2h_batch.observe import believed_world
-    from r2h_batch.runs.store import load_run
-
-    words = (
-        "--sees",
-        SEES,
-        "--method",
-        "learned",
-        "--trials",
-        ROOM_TRIALS,
-        "--until",
-        "present",
-        "--execute.sim",
-        "none",
-    )
-    with mock.patch.object(believed_world, "ROOM_M", 1e-3 * mm):
-        folder = swept(home / f"room-{mm}", "--benchmark", "r2h-v3", *words, "--threads", 1, "--quiet")
-    run = load_run(folder)
-    return dict(Counter(run.trials(run.methods[0])["outcome"].to_pylist()))
-
-
 TIMES: dict[str, tuple[tuple[str, ...], Literal["pose", "all"]]] = {
     "none": ((), "all"),
     "present": (("pick", "presented"), "all"),
@@ -366,7 +333,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     words = list(dict.fromkeys(r for m in methods.values() for r in m["plans"]))
     plans = [[short[k], *(m["plans"].get(r, 0) for r in words)] for k, m in methods.items() if m["plans"]]
     checked = data["checked"]
-    answers = {k: m for k, m in methods.items() if m is not oracle}
     wrong = sum(bool(c["wrong"]) for c in checked)
     known, names = certified_trials()
     drawn = [name.rpartition("_")[0].replace("_", " ") for name in names]
@@ -376,21 +342,13 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "certified": len(drawn),
         "redrawn": sum(again.values()),
         "redrawn_share": 100 * sum(again.values()) / len(drawn),
-        "twice": int((known.redraws > 1).sum()),
         "never": int((~known.solved).sum()),
         "redraws": markdown_table(["", "trials", "drawn again", "percent"], redraws),
         "stages": table("truth", methods),
         **_bound_of(data, sighted, splits, kinds),
-        "pose_ratio": ms["pose"] / ms["pose_none"],
         **{f"{track}_s": spent for track, spent in data["cpu_s"].items()},
-        "sees": SEES,
         "sights": table("seen", data["seen"]),
-        **_believed(data, sighted, order),
-        "n": oracle["n"],
-        "unsolved": sum(oracle["lost"].values()),
-        "draws": DRAWS,
-        "order": _order(answers, short, splits, kinds),
-        "seen_order": _order(data["seen"], sighted, splits, kinds),
+        "reasons": _believed(data, sighted),
         "plans": markdown_table(["", *(r.replace("_", " ") for r in words)], plans),
         "at_most": 100 * float(wilson_interval(np.array(wrong), len(checked))[1]),
         "causes": markdown_table(["", "trials", *(r.replace("_", " ") for r in reasons)], causes),
@@ -403,7 +361,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "cost": markdown_table(["", "ms"], cost),
         "timed": TIMED * len(methods),
         "moment": ms["moment"],
-        "ratio": (ms["present"] - ms["none"]) / ms["none"],
     }
 
 
@@ -415,8 +372,8 @@ def _reads(track: str) -> dict[str, str]:
     return {name: run.entry(name).reads for name in run.methods}
 
 
-def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str]) -> dict[str, Any]:
-    """Of planning in what was seen: reasons by method, outcomes by room."""
+def _believed(data: Mapping[str, Any], short: Mapping[str, str]) -> str:
+    """Of planning in what was seen: reasons by method."""
     both = ("reasons", "plans")
     words = [list(dict.fromkeys(r for m in data["seen"].values() for r in m[k])) for k in both]
     named = [f"{name}: {r.replace('_', ' ')}" for name, rs in zip(("Pick", "Plan"), words, strict=True) for r in rs]
@@ -424,15 +381,7 @@ def _believed(data: Mapping[str, Any], short: Mapping[str, str], order: list[str
         [short[title], *(m[k].get(r, 0) for k, rs in zip(both, words, strict=True) for r in rs)]
         for title, m in data["seen"].items()
     ]
-    asked = [c for c in order if any(c in m for m in data["rooms"].values())]
-    rooms = [[f"{mm} mm", *(m.get(c, 0) for c in ("success", *asked))] for mm, m in data["rooms"].items()]
-    counts = [m.get("success", 0) for m in data["rooms"].values()]
-    return {
-        "apart": max(counts) - min(counts),
-        "reasons": markdown_table(["", *named], reasons),
-        "rooms": markdown_table(["", "success", *(c.capitalize() for c in asked)], rooms),
-        "of_room": 2 * data["room_trials"],
-    }
+    return markdown_table(["", *named], reasons)
 
 
 def _kinds(n: int) -> tuple[np.ndarray, np.ndarray]:
@@ -441,30 +390,6 @@ def _kinds(n: int) -> tuple[np.ndarray, np.ndarray]:
 
     names = load_benchmark("r2h-v3").trials_with_ids(torch.arange(n)).object_names
     return np.array(["S0", "S1"])[np.arange(n) % 2], np.array([name.rpartition("_")[0] for name in names])
-
-
-DRAWS = 10_000
-
-
-def _order(methods: Mapping[str, Any], short: Mapping[str, str], splits: np.ndarray, kinds: np.ndarray) -> str:
-    """Orders where the categories of each split are drawn again: how often a method has a rank, percent."""
-    from r2h_batch.report.statistics.paired import rank_probabilities
-
-    names = sorted(methods, key=lambda k: -methods[k]["won"].count("1"))
-    n = len(methods[names[0]]["won"])
-    won = np.array([[c == "1" for c in methods[k]["won"]] for k in names], float)
-    random = np.random.default_rng(0)
-    hits, of = np.zeros((DRAWS, len(names))), np.zeros((DRAWS, 1))
-    for split in ("S0", "S1"):
-        own = splits[:n] == split
-        _, place = np.unique(kinds[:n][own], return_inverse=True)
-        count = int(place.max()) + 1
-        times = random.multinomial(count, np.full(count, 1 / count), size=DRAWS)
-        hits = hits + times @ np.stack([np.bincount(place, row[own]) for row in won], 1)
-        of = of + (times @ np.bincount(place))[:, None]
-    ranks = 100 * rank_probabilities(hits / of)
-    rows = [[short[k], *(f"{x:.1f}" for x in row)] for k, row in zip(names, ranks, strict=True)]
-    return markdown_table(["", *range(1, len(names) + 1)], rows)
 
 
 def _bound_of(

@@ -244,7 +244,7 @@ BENCH = Bench(
     measure,
     MEASURES,
     {
-        "--out": {"default": ROOT / "runs" / "robots", "type": Path},
+        "--out": {"default": Path("runs/robots"), "type": Path},
         "--sections": {"default": SECTIONS, "choices": SECTIONS},
         "--trials": {"default": 100, "help": "of each split, in the table"},
         "--rows": {"default": 400, "help": "whole trials, and those from which problems are taken"},

@@ -85,7 +85,7 @@ BENCH = Bench(
     measure,
     MEASURES,
     {
-        "--out": {"default": ROOT / "runs" / "robustness", "type": Path},
+        "--out": {"default": Path("runs/robustness"), "type": Path},
         "--trials": {"default": 100, "help": "of each split"},
     },
     stored="robustness",

@@ -209,7 +209,7 @@ BENCH = Bench(
     __doc__,
     run,
     flags={
-        "--out": {"default": ROOT / "runs" / "sensitivity", "type": Path},
+        "--out": {"default": Path("runs/sensitivity"), "type": Path},
         "--trials": {"default": TRIALS, "help": "of each split"},
     },
 )
