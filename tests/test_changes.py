@@ -151,7 +151,7 @@ from r2h_batch.report.figures import COLORS
 from r2h_batch.report.statistics.aggregate import FAILURES
 from r2h_batch.runs.columns import TRIALS
 from r2h_batch.runs.explain import headline
-from r2h_batch.runs.rows import TrialNames, score_rows
+from r2h_batch.sweep.rows import TrialNames, score_rows
 
 benchmark = load_benchmark("r2h-v0")
 evaluator, trials = Evaluator(benchmark), benchmark.trials(40)

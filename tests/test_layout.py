@@ -23,20 +23,20 @@ def modules() -> dict[str, Path]:
 
 
 @cache
-def nodes_of(path: Path) -> list[ast.AST]:
-    """Every node of a file's syntax; what only type checkers import is left out."""
+def nodes_of(path: Path, *, types: bool = False) -> list[ast.AST]:
+    """Every node of a file's syntax; what only type checkers import is left out, unless `types`."""
     tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         if isinstance(node, ast.If) and getattr(node.test, "id", getattr(node.test, "attr", "")) == "TYPE_CHECKING":
-            node.body = []
+            node.body = node.body if types else []
     return list(ast.walk(tree))
 
 
 @cache
-def imports_of(path: Path) -> list[tuple[str, str]]:
-    """(module, name) of every import of the package's own, lazy ones included; those for type checkers are left out."""
+def imports_of(path: Path, *, types: bool = False) -> list[tuple[str, str]]:
+    """(module, name) of every import of the package's own, lazy ones included; those for type checkers with `types`."""
     found = []
-    for node in nodes_of(path):
+    for node in nodes_of(path, types=types):
         if isinstance(node, ast.Import):
             found += [(a.name, "") for a in node.names if a.name.startswith("r2h_batch")]
         elif isinstance(node, ast.ImportFrom):
@@ -67,17 +67,26 @@ def test_kernels_import_relatively_what_depends_on_the_number_of_joints_and_noth
     assert len(sized) > 20 and wrong == []
 
 
-def test_no_file_imports_itself_through_others_not_even_lazily() -> None:
+def test_no_file_imports_itself_through_others_not_even_lazily_or_for_its_types() -> None:
+    """For types an `__init__.py` names what it hands on when it is asked: that is no import of the file."""
     known = modules()
+    own = {name: imports_of(path, types=path.name != "__init__.py") for name, path in known.items()}
     graph = {
-        name: {f"{m}.{n}" if f"{m}.{n}" in known else m for m, n in imports_of(path)} - {"r2h_batch"}
-        for name, path in known.items()
+        name: {f"{m}.{n}" if f"{m}.{n}" in known else m for m, n in found} - {"r2h_batch"}
+        for name, found in own.items()
     }
     assert len(graph) > 150 and sum(map(len, graph.values())) > 400
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         pytest.fail(" -> ".join(error.args[1]))
+
+
+def test_no_file_takes_what_the_package_offers_its_users_from_there() -> None:
+    """`r2h_batch/__init__.py` stands above all: a file that asks it for a name imports upwards."""
+    known = modules()
+    wrong = [(n, w) for n, p in known.items() for m, w in imports_of(p) if m == "r2h_batch" and f"{m}.{w}" not in known]
+    assert wrong == []
 
 
 def test_no_private_name_is_borrowed_across_folders() -> None:

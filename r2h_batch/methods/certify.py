@@ -1,6 +1,6 @@
 """Trials that are solvable by construction: drawn, searched, and drawn again until the oracle finds a whole way.
 
-A benchmark that names this search (`trials.certified.SEARCH`) asks it for trials that its file does not know.
+A benchmark that names this search (`trials.benchmark.SEARCH`) asks it for trials that its file does not know.
 `assets/certified/build_certified.py` writes the files.
 """
 
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import oracle
-from r2h_batch.trials.benchmark import Benchmark
-from r2h_batch.trials.certified import NEVER, SEARCH, Certified
+from r2h_batch.trials.benchmark import SEARCH, Benchmark
+from r2h_batch.trials.certified import NEVER, Certified
 from r2h_batch.verdicts import ASKED_NAMES
 
 MOST = 9

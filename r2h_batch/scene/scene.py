@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, SupportsIndex
+from typing import TYPE_CHECKING, Any, Generic, Protocol, SupportsIndex, TypeVar
 
 import numpy as np
 import torch
@@ -36,11 +36,12 @@ from r2h_batch.scene.grasp_tables import (
     surfaces_on,
 )
 from r2h_batch.scene.hand import HandSet
+from r2h_batch.scene.objects import ObjectModel
+from r2h_batch.scene.robot import Robot
 from r2h_batch.scene.tables import Hands, WorldTables
 
 if TYPE_CHECKING:  # it brings MuJoCo (0.2 s), which only simulations and pictures need
     from r2h_batch.scene.model import SceneModel
-    from r2h_batch.trials.benchmark import Benchmark
 
 PLACED = (
     "R_hand_world",
@@ -55,7 +56,24 @@ PLACED = (
 and hand."""
 
 
-class Scene:
+class Setup(Protocol):
+    """What this room reads of a benchmark (`trials.benchmark.Benchmark`), which stands above it."""
+
+    @property
+    def objects(self) -> tuple[ObjectModel, ...]: ...
+    @property
+    def hand_set(self) -> HandSet: ...
+    @property
+    def robot(self) -> Robot: ...
+    @property
+    def head_clearance_m(self) -> float: ...
+    def config(self, base: EvalConfig | None = None) -> EvalConfig: ...
+
+
+B = TypeVar("B", bound=Setup)
+
+
+class Scene(Generic[B]):
     """Everything that stays the same over trials. `objects` and `hands` are indexed by
     `Trials.object_index, hand_index`.
 
@@ -76,7 +94,7 @@ class Scene:
 
     def __init__(
         self,
-        benchmark: "Benchmark",
+        benchmark: B,
         device: str | torch.device = "cpu",
         *,
         config: EvalConfig | None = None,
@@ -141,11 +159,11 @@ class Scene:
         """Rebuilt from benchmark and configuration: tables on a device do not travel."""
         return _scene_of, (self.benchmark, self.device, self.config, self.hand_room_m)
 
-    def __copy__(self) -> "Scene":
+    def __copy__(self) -> "Scene[B]":
         """Itself: a scene does not change."""
         return self
 
-    def __deepcopy__(self, memo: Any) -> "Scene":
+    def __deepcopy__(self, memo: Any) -> "Scene[B]":
         """Itself: a scene does not change."""
         return self
 
@@ -474,7 +492,7 @@ class Scene:
         return BodyPoses(bodies, *owners)
 
 
-def _scene_of(benchmark: "Benchmark", device: str, config: EvalConfig, hand_room_m: float) -> Scene:
+def _scene_of(benchmark: B, device: str, config: EvalConfig, hand_room_m: float) -> Scene[B]:
     """The scene that was pickled."""
     return Scene(benchmark, device, config=config, hand_room_m=hand_room_m)
 

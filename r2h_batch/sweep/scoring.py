@@ -21,7 +21,9 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.plan import load_searches
 from r2h_batch.runs.files import replace_json
 from r2h_batch.runs.header import Shard, shards_of
-from r2h_batch.runs.rows import (
+from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
+from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
+from r2h_batch.sweep.rows import (
     TrialNames,
     detail_rows,
     episode_rows,
@@ -32,8 +34,6 @@ from r2h_batch.runs.rows import (
     score_rows,
     sees_rows,
 )
-from r2h_batch.runs.writing import SHARD_TRIALS, TRIES, RunFolder, ShardWriter
-from r2h_batch.sweep.jobs import CPU_CHUNK, Job, Setting
 from r2h_batch.trials.predictions import doubts
 from r2h_batch.types import Outcome, Predictions, Trials
 

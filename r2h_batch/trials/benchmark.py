@@ -9,7 +9,7 @@ import hashlib
 import json
 import pickle
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Literal, Self
@@ -36,6 +36,7 @@ from r2h_batch.base.validate import (
 from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import MOST_HEAD_CLEARANCE_M, PRESENTED_M, EvalConfig, Thresholds, Workplace
 from r2h_batch.data.people import People, people_hand_set
+from r2h_batch.plugins import Registry
 from r2h_batch.scene.hand import HandSet, load_hand_set
 from r2h_batch.scene.objects import ObjectModel, checked_objects, load_objects
 from r2h_batch.scene.person import MADE_OF
@@ -68,6 +69,13 @@ makes them only where it needs them."""
 CERTIFIED_BY = ("pick", "received")
 """The criteria beside `CRITERIA` that the name of certificates knows: those of the first search. One that came later changes no
 trial; answers that failed it were searched again."""
+
+SEARCH: Registry[Callable[[Benchmark, NDArray[np.int64]], Certified]] = Registry(
+    "search", modules=("r2h_batch.methods.certify",), names=("oracle",), light=True
+)
+"""Searches that certify trials of a benchmark, by name: (benchmark, ids ascending) -> `Certified`. A trial's certificate
+depends on its own id alone. Trials know no method: the search's module is imported when a trial is asked for that no file
+knows."""
 
 WITH_PEOPLE = "r2h-v1 or r2h-v2"
 """Named benchmarks whose receivers have bodies, for messages."""
@@ -226,8 +234,11 @@ class Benchmark:
         if own is None or not own.search:
             return own
         return certified_of(
-            self, trial_id[trial_id < 2 * MOST_TRIALS]
-        )  # a stream's trials are others
+            own,
+            trial_id[trial_id < 2 * MOST_TRIALS],  # a stream's trials are others
+            head_clearance_m=self.head_clearance_m,
+            search=lambda ids: SEARCH[own.search](self, ids),
+        )
 
     def redraws(self, trial_id: NDArray[np.int64]) -> NDArray[np.int64]:
         """How often trials were drawn again until they were known to have a whole way. Where the benchmark searches trials

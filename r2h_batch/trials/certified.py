@@ -15,7 +15,7 @@ from functools import cached_property, partial
 from importlib.resources import as_file, files
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 from zipfile import BadZipFile
 
 import numpy as np
@@ -26,17 +26,7 @@ from r2h_batch.base.errors import FileError
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest, is_cached
 from r2h_batch.base.io.progress import progress
 from r2h_batch.base.io.read import printable
-from r2h_batch.plugins import Registry
 
-if TYPE_CHECKING:
-    from r2h_batch.trials.benchmark import Benchmark
-
-SEARCH: "Registry[Callable[[Benchmark, NDArray[np.int64]], Certified]]" = Registry(
-    "search", modules=("r2h_batch.methods.certify",), names=("oracle",), light=True
-)
-"""Searches that certify trials of a benchmark, by name: (benchmark, ids ascending) -> `Certified`. A trial's certificate
-depends on its own id alone. Trials know no method: the search's module is imported when a trial is asked for that no file
-knows."""
 AT_ONCE = 64
 """Trials that are certified together."""
 CODE = tuple(
@@ -80,7 +70,7 @@ class Certified:
         T_obj_ee: (N, 4, 4) grasps of these answers, m.
         T_world_ee: (N, 4, 4) handover poses, m.
         benchmark: `Benchmark.undrawn_digest` of the benchmark that they are trials of.
-        search: name in `SEARCH` of what certifies trials that are not here; empty: such trials are drawn once.
+        search: name in `benchmark.SEARCH` of what certifies trials that are not here; empty: such trials are drawn once.
     """
 
     trial_id: Int64[NDArray[np.int64], " N"]
@@ -124,12 +114,16 @@ class Certified:
         return at, self.trial_id[at] == trial_id
 
 
+Search = Callable[[NDArray[np.int64]], Certified]
+"""Certifies trials of a benchmark: ids, ascending -> their certificates."""
+
+
 def load_certified(name: str, *, search: str = "") -> Certified:
     """The certificates that the package ships for a benchmark.
 
     Args:
         name: of the benchmark.
-        search: of trials beyond those, a name in `SEARCH`.
+        search: of trials beyond those, a name in `benchmark.SEARCH`.
     """
     with as_file(files("r2h_batch.assets") / "certified" / f"{name}.npz") as path:
         return replace(read_certified(path), search=search)
@@ -141,42 +135,46 @@ this process."""
 _one_search = Lock()
 
 
-def certified_of(benchmark: "Benchmark", trial_id: Int64[NDArray[np.int64], " n"]) -> Certified:
-    """Certificates of a benchmark with a search that hold these trials: those of its file, and those that are found now.
+def certified_of(
+    own: Certified,
+    trial_id: Int64[NDArray[np.int64], " n"],
+    *,
+    head_clearance_m: float,
+    search: Search,
+) -> Certified:
+    """Certificates that hold these trials: those of a benchmark's file, and those that are found now.
 
     Args:
-        benchmark: has certificates of its own.
+        own: of the benchmark's file.
         trial_id: (n,) ids.
+        head_clearance_m: the benchmark's, which its certificates' digest leaves out and a search heeds.
+        search: what certifies trials that are not in the file.
     """
-    own = benchmark.own_certified
-    assert own is not None  # the caller has asked
     new = np.unique(trial_id[~own.holds(trial_id)])
     if not len(new):
         return own
-    key = own.benchmark, benchmark.head_clearance_m
+    key = own.benchmark, head_clearance_m
     with _one_search:
         found = _beyond.get(key)
         left = new if found is None else new[~found.holds(new)]
         if len(left):
-            added = _searched(benchmark, left)
+            added = _searched(own, left, head_clearance_m, search)
             found = added if found is None else joined_certified(found, added)
             _beyond[key] = found
     assert found is not None
     return joined_certified(own, found)
 
 
-def _searched(benchmark: "Benchmark", trial_id: NDArray[np.int64]) -> Certified:
+def _searched(
+    own: Certified, trial_id: NDArray[np.int64], head_clearance_m: float, find: Search
+) -> Certified:
     """Certificates of these trials, read from disk or found."""
-    own = benchmark.own_certified
-    assert own is not None
-    made_with = (
-        f"{own.benchmark} {benchmark.head_clearance_m} {own.search} {code_digest(CODE, VERSIONS)}"
-    )
+    made_with = f"{own.benchmark} {head_clearance_m} {own.search} {code_digest(CODE, VERSIONS)}"
     keys = {i: hashlib.sha256(f"{made_with} {i}".encode()).hexdigest() for i in trial_id.tolist()}
     rows: dict[int, dict[str, NDArray[Any]]] = {}
 
     def search(ids: NDArray[np.int64]) -> None:
-        found = SEARCH[own.search](benchmark, ids)
+        found = find(ids)
         for k, i in enumerate(ids.tolist()):
             rows[i] = {name: getattr(found, name)[k : k + 1] for name in _FORM}
 

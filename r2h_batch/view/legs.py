@@ -13,7 +13,7 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.ik import solve_ik
 from r2h_batch.judge.pick import Picked
 from r2h_batch.observe.known import known_moments
-from r2h_batch.runs.rows import TrialNames
+from r2h_batch.sweep.rows import TrialNames
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CollidingPair, PickReason
 from r2h_batch.view.postures import Nearest, Postures, postures_at

@@ -18,7 +18,7 @@ from r2h_batch.base.io.log import LOG
 from r2h_batch.base.io.read import printable
 from r2h_batch.base.io.write import write_text
 from r2h_batch.base.validate import instance_of, integer
-from r2h_batch.runs.rows import TrialNames, detail_rows, score_rows
+from r2h_batch.sweep.rows import TrialNames, detail_rows, score_rows
 from r2h_batch.types import Predictions, Scores
 from r2h_batch.view.captions import as_html, title
 from r2h_batch.view.drawing import FIXED, FOV_DEG, MARKS, Drawing, Mark, View, view_of

@@ -17,8 +17,8 @@ from r2h_batch.judge.attach import attach_object
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.judge.goal import judge_goals
 from r2h_batch.judge.ik import one_branch, solve_ik
-from r2h_batch.runs.rows import TrialNames
 from r2h_batch.scene.person import PIECES
+from r2h_batch.sweep.rows import TrialNames
 from r2h_batch.types import Predictions, Trials
 from r2h_batch.verdicts import CollidingPair
 

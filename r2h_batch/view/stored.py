@@ -25,10 +25,10 @@ from r2h_batch.evaluate import Evaluator
 from r2h_batch.judge.execution_error import executed_poses
 from r2h_batch.observe.sees import Sees
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.runs.store import UNJUDGED, Run, load_run
 from r2h_batch.scene.robot import Robot
 from r2h_batch.sweep.jobs import job_of_run
+from r2h_batch.sweep.rows import TrialNames, detail_rows, path_rows, score_rows
 from r2h_batch.trials.benchmark import Benchmark, trials_digest
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.types import Predictions, Trials

@@ -20,8 +20,8 @@ from r2h_batch.judge.motion import time_law
 from r2h_batch.judge.reception import reception
 from r2h_batch.methods import oracle
 from r2h_batch.report.compare.stored import ROWS
-from r2h_batch.runs.rows import TrialNames
 from r2h_batch.runs.store import load_run
+from r2h_batch.sweep.rows import TrialNames
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.types import Predictions, Trials
 

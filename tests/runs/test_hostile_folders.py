@@ -29,10 +29,11 @@ from r2h_batch.__main__ import main
 from r2h_batch.runs import verify as verifying
 from r2h_batch.runs.files import RunError, claim
 from r2h_batch.runs.header import Record, checked, run_hash, shard_at
-from r2h_batch.runs.rows import TRIAL_SCHEMA, score_rows
+from r2h_batch.runs.rows import TRIAL_SCHEMA
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.verify import mark_for_rerun
 from r2h_batch.runs.writing import open_run
+from r2h_batch.sweep.rows import score_rows
 
 COMMANDS = {
     "verify": lambda folder: main(["results", "verify", str(folder)]),

@@ -28,9 +28,10 @@ from r2h_batch.runs import files
 from r2h_batch.runs import store as run_store
 from r2h_batch.runs.files import RunError, claim, owner_of, temporary_name
 from r2h_batch.runs.header import shards_of
-from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA, pose_rows, score_rows
+from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
+from r2h_batch.sweep.rows import pose_rows, score_rows
 from r2h_batch.types import CRITERIA, Outcome
 
 ALL = ["details", "poses", "paths"]

@@ -29,11 +29,11 @@ from r2h_batch.__main__ import main
 from r2h_batch.base.io.write import atomic_path
 from r2h_batch.runs.files import GO_ON, RunError, replace_json, sha256_of, temporary_name, trouble_in
 from r2h_batch.runs.header import shards_of
-from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.shard import number_of, shard_folder, stored_files
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.verify import mark_for_rerun
 from r2h_batch.runs.writing import open_run
+from r2h_batch.sweep.rows import detail_rows, score_rows
 
 
 def test_a_shard_is_one_file_that_any_reader_of_parquet_opens_under_the_digest_that_it_has(tmp_path):

@@ -11,9 +11,9 @@ from made_runs import NAMES, OUTCOMES, files_of, made_trials, make_header, make_
 from r2h_batch.__main__ import main
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.header import shards_of
-from r2h_batch.runs.rows import score_rows
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
+from r2h_batch.sweep.rows import score_rows
 
 DAMAGE = ("flip", "flip the footer", "truncate", "append", "empty")
 

@@ -21,8 +21,8 @@ from r2h_batch.base.registry import is_drawn
 from r2h_batch.base.schedule import trial_ids
 from r2h_batch.runs import store as results
 from r2h_batch.runs.files import sha256_of
-from r2h_batch.runs.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
 from r2h_batch.runs.writing import RunFolder, open_run
+from r2h_batch.sweep.rows import TrialNames, detail_rows, path_rows, pose_rows, score_rows
 from r2h_batch.types import CRITERIA, CollidingPair, Outcome, PlanReason, Predictions, Scores, Trials
 
 OBJECTS = ("bowl", "cup", "eyeglasses", "hammer", "knife", "scissors")

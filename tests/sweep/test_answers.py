@@ -17,12 +17,12 @@ from r2h_batch import load_benchmark
 from r2h_batch.base.errors import AnswerError
 from r2h_batch.base.registry import DEFAULT_BENCHMARK
 from r2h_batch.runs.files import RunError
-from r2h_batch.runs.rows import detail_rows, score_rows
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep import command as sweep
 from r2h_batch.sweep import jobs
 from r2h_batch.sweep.answers import answer_of
+from r2h_batch.sweep.rows import detail_rows, score_rows
 from r2h_batch.trials.predictions import write_predictions
 from r2h_batch.types import Predictions
 

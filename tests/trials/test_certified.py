@@ -17,7 +17,7 @@ from r2h_batch.methods import oracle
 from r2h_batch.methods.certify import certify
 from r2h_batch.observe import moments
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.trials import certified
+from r2h_batch.trials import benchmark, certified
 from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.trials.certified import Certified, joined_certified, load_certified, read_certified, save_certified
 from r2h_batch.trials.edit import in_frame
@@ -213,7 +213,7 @@ def test_a_sweep_says_how_many_trials_are_not_certified(v3, tmp_path, capsys, mo
     line = ["--benchmark", "r2h-v3", "--until", "present", "--method", "random", "--execute.sim", "none"]
     assert sweep([*line, "--trials", "1", "--out", str(tmp_path / "a")]) == 0
     assert "a whole way" not in capsys.readouterr().err
-    monkeypatch.setattr(certified, "SEARCH", {"oracle": Told()})
+    monkeypatch.setattr(benchmark, "SEARCH", {"oracle": Told()})
     assert sweep([*line, "--trials", str(n + 1), "--splits", "S0", "--out", str(tmp_path / "b")]) == 0
     assert f"1 of {n + 1} trials are searched for a whole way when they are drawn first" in capsys.readouterr().err
 
@@ -233,7 +233,7 @@ class Told:
 def test_trials_beyond_the_file_are_searched_once_and_kept_on_disk(v3, tmp_path, monkeypatch):
     told, n = Told(), len(v3.own_certified.trial_id)
     monkeypatch.setenv("R2H_BATCH_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr(certified, "SEARCH", {"oracle": told})
+    monkeypatch.setattr(benchmark, "SEARCH", {"oracle": told})
     monkeypatch.setattr(certified, "AT_ONCE", 2)
     monkeypatch.setattr(certified, "_beyond", {})
     ids = np.array([n + 4, 3, n, n + 1, n + 4])

@@ -4,14 +4,13 @@ import re
 from collections.abc import Mapping
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 from r2h_batch.base.errors import FileError
 from r2h_batch.base.registry import DEFAULT_BENCHMARK, METHOD_NAMES, protocol_of
 
 if TYPE_CHECKING:
     from r2h_batch.runs.store import Run
-    from r2h_batch.trials.benchmark import Benchmark
 
 BASELINES = "baselines"
 """The word for the shipped rows of all built-in methods: `compare runs/mine baselines`."""
@@ -85,7 +84,16 @@ def baselines_of(digest: str | None, name: str) -> Path:
     return (simulated or found)[0]
 
 
-def load_baselines(benchmark: "Benchmark") -> "Run":
+class Known(Protocol):
+    """What a benchmark (`trials.benchmark.Benchmark`) is known by: counting knows no more of it."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def digest(self) -> str: ...
+
+
+def load_baselines(benchmark: Known) -> "Run":
     """The stored rows of the built-in methods on a benchmark.
 
     Args:

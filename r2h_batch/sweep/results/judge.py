@@ -17,8 +17,8 @@ from r2h_batch.observe.sees import Sees
 from r2h_batch.runs import provenance
 from r2h_batch.runs.files import RunError
 from r2h_batch.runs.plugged import criteria_since
-from r2h_batch.runs.rows import TrialNames
 from r2h_batch.runs.store import Run
+from r2h_batch.sweep.rows import TrialNames
 from r2h_batch.sweep.scoring import judged_tables
 from r2h_batch.trials.of_run import benchmark_of_run
 from r2h_batch.trials.predictions import Motions

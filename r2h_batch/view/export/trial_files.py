@@ -16,7 +16,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from r2h_batch import load_benchmark
 from r2h_batch.base import se3
 from r2h_batch.base.declared import OURS
 from r2h_batch.methods.candidates import candidates_of
@@ -25,6 +24,7 @@ from r2h_batch.scene.hand import HandSet, palm_frame
 from r2h_batch.scene.objects import ObjectModel, object_digest
 from r2h_batch.scene.robot import ee_pose
 from r2h_batch.trials.benchmark import TRIALS, Benchmark, trials_digest
+from r2h_batch.trials.load import load_benchmark
 from r2h_batch.types import Trials
 from r2h_batch.verdicts import SPLITS
 

@@ -18,10 +18,10 @@ from r2h_batch.base.schedule import trial_ids
 from r2h_batch.report.compare.stored import LATER, SHIPPED, baselines_for, load_baselines, load_rows, stored_rows
 from r2h_batch.report.statistics.common import common_trials
 from r2h_batch.report.statistics.paired import pair_up
-from r2h_batch.runs.rows import TrialNames, score_rows
 from r2h_batch.runs.store import join, load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep.command import main as sweep
+from r2h_batch.sweep.rows import TrialNames, score_rows
 
 
 @pytest.mark.parametrize("folder", stored_rows(), ids=lambda f: f.name)

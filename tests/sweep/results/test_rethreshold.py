@@ -11,9 +11,10 @@ from rounds import each
 
 from r2h_batch.__main__ import main
 from r2h_batch.report.statistics import thresholds as others
-from r2h_batch.runs.rows import OUTCOME_NAMES, score_rows
+from r2h_batch.runs.rows import OUTCOME_NAMES
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
+from r2h_batch.sweep.rows import score_rows
 from r2h_batch.types import Outcome
 
 BASE = {"reach_radius_m": 0.10, "w_max_m": 0.085, "safe_margin_m": 0.0}
@@ -124,7 +125,7 @@ def test_rescoring_is_a_rerun_of_the_real_evaluator(tmp_path):
     from r2h_batch import Evaluator, load_benchmark
     from r2h_batch.config import Thresholds
     from r2h_batch.methods import random as method
-    from r2h_batch.runs.rows import TrialNames
+    from r2h_batch.sweep.rows import TrialNames
 
     n = 150
     trials = load_benchmark("r2h-v0").trials(n)

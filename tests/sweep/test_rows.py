@@ -7,19 +7,8 @@ import pytest
 import torch
 from made_runs import NAMES, made_trials, make_predictions, make_scores
 
-from r2h_batch.runs.rows import (
-    DETAIL_SCHEMA,
-    FAILURE_SCHEMA,
-    PATH_SCHEMA,
-    POSE_SCHEMA,
-    TRIAL_SCHEMA,
-    detail_rows,
-    failure_rows,
-    missing_rows,
-    path_rows,
-    pose_rows,
-    score_rows,
-)
+from r2h_batch.runs.rows import DETAIL_SCHEMA, FAILURE_SCHEMA, PATH_SCHEMA, POSE_SCHEMA, TRIAL_SCHEMA
+from r2h_batch.sweep.rows import detail_rows, failure_rows, missing_rows, path_rows, pose_rows, score_rows
 from r2h_batch.types import CollidingPair, GivenScores, Outcome
 
 
