@@ -166,7 +166,7 @@ def reception(
         raise ValueError("leans_deg is empty; give (0.0,) for a person who does not lean")
     rows = range(0, max(len(scores), 1), TRIALS_AT_ONCE)
     with inputs.evaluator.working():
-        _needed_grasps(inputs.evaluator.scene, inputs.trials)  # of all rows: hands are posed once
+        _grasps(inputs.evaluator.scene, inputs.trials)  # of all rows: hands are posed once
         parts = [
             _reception(scores[part], leans_deg, None if head is None else head[part], margins)
             for part in (slice(i, i + TRIALS_AT_ONCE) for i in rows)
@@ -201,11 +201,6 @@ class _Grasps:
         return self.held_out.first.to(object_index.device)[object_index.long()]
 
 
-def _needed_grasps(scene: Scene, trials: Trials) -> HeldOut:
-    """The held-out grasps of the objects of these trials, at least."""
-    return load_held_out(scene.objects, scene.hands.model, trials.object_index.unique().tolist())
-
-
 class _Known:
     """The grasps on some objects, which grow with those that are asked for."""
 
@@ -222,13 +217,16 @@ def _known(
     return _Known()
 
 
-def _grasps(scene: Scene, held_out: HeldOut) -> _Grasps:
-    known = _known(scene.objects, scene.hands.model, scene.device, scene.robot.open_gap_m)
+def _grasps(scene: Scene, trials: Trials) -> _Grasps:
+    """The held-out grasps of the objects of these trials, at least."""
+    hand, needed = scene.hands.model, frozenset(trials.object_index.unique().tolist())
+    known = _known(scene.objects, hand, scene.device, scene.robot.open_gap_m)
     with known.lock:
         before = known.grasps
-        if before is None or before.held_out is not held_out:
-            if before is not None and not before.held_out.loaded <= held_out.loaded:
-                before = None  # its grasps were let go meanwhile and loaded anew, fewer of them
+        posed: frozenset[int] = frozenset() if before is None else before.held_out.loaded
+        if before is None or not needed <= posed:
+            # others may have loaded those of all objects, which would take long to pose
+            held_out = load_held_out(scene.objects, hand, needed | posed).only(needed | posed)
             known.grasps = _grown(scene, held_out, before)
         assert known.grasps is not None
         return known.grasps
@@ -384,7 +382,7 @@ def _batch_of(scores: Scores, head: Tensor | None = None) -> _Batch:
     evaluator, trials = inputs.evaluator, inputs.trials
     scene, receiver = evaluator.scene, trials.receiver
     assert receiver is not None  # `reception` has asked
-    grasps, device = _grasps(scene, _needed_grasps(scene, trials)), scene.device
+    grasps, device = _grasps(scene, trials), scene.device
     asked = inputs.T_obj_ee, inputs.T_world_ee
     executed = executed_poses(evaluator.config, scene.objects, *asked, trials)
     evaluated = scores.passed[:, CRITERIA.index("stability")] & scores.q_goal.isfinite().all(1)

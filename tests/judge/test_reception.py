@@ -803,7 +803,8 @@ def test_a_row_depends_on_its_own_trial_alone(scores, found):
 def test_hands_are_posed_once_however_often_objects_are_added_and_every_row_stays_what_it_was(
     scores, found, monkeypatch
 ):
-    monkeypatch.setattr(held_out, "_loaded", cache(held_out._loaded.__wrapped__))
+    for module, name in ((held_out, "_loaded"), (judge, "_known")):
+        monkeypatch.setattr(module, name, cache(getattr(module, name).__wrapped__))
     own, posed, real = Evaluator(load_benchmark("r2h-v1"), evaluator().config), [], HandModel.pose
     monkeypatch.setattr(HandModel, "pose", lambda self, pose, *a: posed.append(len(pose)) or real(self, pose, *a))
     asked = scores.with_inputs(replace(scores.inputs, evaluator=own))
@@ -818,6 +819,9 @@ def test_hands_are_posed_once_however_often_objects_are_added_and_every_row_stay
         there = load_held_out(own.scene.objects, own.scene.hands.model, order[:k].tolist())
         assert sum(posed) == len(there.grasps) == 512 * k and there.loaded == set(order[:k].tolist())
         assert max(posed) <= 512
+    load_held_out(own.scene.objects, own.scene.hands.model)  # somebody else reads those of all
+    reception(asked[(objects == objects.unique()[1]).nonzero().flatten()])
+    assert sum(posed) == 512 * 5 < 512 * len(own.scene.objects)
 
 
 def test_counts_fall_step_by_step_the_easiest_grasp_passes_and_without_lean_fewer_arms_reach(scores, found):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from threading import Lock
 from typing import Any
@@ -70,6 +70,15 @@ class HeldOut:
     """row of each object's first grasp"""
     loaded: frozenset[int]
     """objects whose grasps are here; the others have no rows"""
+
+    def only(self, objects: frozenset[int]) -> HeldOut:
+        """The grasps of some of the loaded objects."""
+        of = self.grasps.object_index.long()
+        kept = torch.isin(of, torch.tensor(sorted(objects), dtype=torch.int64, device=of.device))
+        number = torch.bincount(of[kept], minlength=len(self.first))
+        first = torch.cumsum(number, 0) - number
+        grasps, grip_n = self.grasps[kept], self.grip_n[kept]
+        return replace(self, grasps=grasps, grip_n=grip_n, first=first, loaded=objects)
 
 
 _NO_AXIS = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
