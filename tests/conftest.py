@@ -1,9 +1,11 @@
 """Set-up of every run: GPU tests are skipped where there is none, and what was left out is listed with how to get
 it."""
 
+import gc
 import shutil
 import sys
 from collections import Counter
+from collections.abc import Generator
 from contextlib import suppress
 
 import pytest
@@ -40,6 +42,18 @@ def paper_rows(tmp_path_factory):
     from made_runs import paper_run
 
     return paper_run(tmp_path_factory.mktemp("paper") / "run")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """Imports make half a million objects and no garbage: searching them again and again takes a fifth of the time."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()  # puts all objects aside,
+        gc.unfreeze()  # and among the oldest
+        gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)
