@@ -16,8 +16,12 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 # And two goes, because a process that runs all tests grows to 9 GB. Where a process is killed the run ends: xdist would wait for ever.
 # Files come in their order: xdist begins with those of many tests, and two long tests of a short file would come last.
 BESIDE := tests/kernels
-FIRST_GO := $(addprefix tests/,judge methods observe trials training)
-SECOND_GO := tests $(addprefix --ignore=,$(BESIDE) $(FIRST_GO))
+FIRST_ROOMS := $(addprefix tests/,judge methods observe trials training)
+# Of these two one compiles the kernels of MuJoCo-Warp, for a minute, and the other none of them: else both processes would.
+BEGIN := $(addprefix tests/judge/,motion/test_motion.py calls/test_gradients.py)
+OF_JUDGE := $(sort $(wildcard tests/judge/test_*.py tests/judge/*/test_*.py))
+FIRST_GO := $(BEGIN) $(filter-out $(BEGIN),$(OF_JUDGE)) $(filter-out tests/judge,$(FIRST_ROOMS))
+SECOND_GO := tests $(addprefix --ignore=,$(BESIDE) $(FIRST_ROOMS))
 ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 QUICK := $(shell grep -rl --include='test_*.py' 'mark\.check' tests)
 EVERY_DAY := -m "not slow and not gpu and not whole and not alone"
