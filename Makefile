@@ -58,7 +58,7 @@ check:  ## before every commit: lint, contracts, the quick half of golden and a 
 	@$(MAKE) --no-print-directory stale
 
 quick-tests: $(VENV)/.installed-test
-	$(PYTEST) -n 2 --dist loadfile --max-worker-restart 0 -m check $(QUICK)
+	$(PYTEST) -n 2 --dist loadfile --max-worker-restart 0 -m "check and not slow and not whole" $(QUICK)
 
 golden: $(VENV)/.installed-test  ## rewrites tests/golden.json; CONTRIBUTING.md says when that is allowed
 	$(BIN)/python tests/support/golden.py --write

@@ -8,7 +8,6 @@ import pytest
 from rounds import each
 
 TESTS = Path(__file__).resolve().parent
-pytestmark = pytest.mark.check
 
 FAIL_BY_THEMSELVES = {"raises", "warns", "fail"}
 """Functions of pytest that fail by themselves."""
@@ -125,6 +124,7 @@ def test_asserts_of_a_test_are_reached_whatever_its_data_are() -> None:
     assert mended == [], "take these lines out of KNOWN"
 
 
+@pytest.mark.check
 @pytest.mark.parametrize(
     ("text", "sure"),
     [
@@ -157,6 +157,7 @@ def test_what_counts_as_an_assert_that_is_reached(tmp_path: Path, text: str, sur
     assert asserts(functions["test_it"].body, functions) == sure
 
 
+@pytest.mark.check
 def test_each_demands_rounds_and_gives_all_items() -> None:
     assert each(iter("abc"), 3) == ["a", "b", "c"]
     for items, at_least in (([], 1), (iter("ab"), 3)):

@@ -52,7 +52,6 @@ def first() -> Again:
     return again(0)
 
 
-@pytest.mark.check
 def test_a_row_of_each_split_is_right_in_all_that_it_says():
     """The first succeeds, fingers of the second hold the region; both have a path and are judged on everything."""
     for place, split in ((0, "S0"), (501, "S1")):
@@ -117,7 +116,6 @@ def shifted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(stages, "attach_object", attached)
 
 
-@pytest.mark.check
 @pytest.mark.parametrize(
     ("mutant", "noticed", "criteria"),
     [
@@ -133,7 +131,6 @@ def test_a_fault_of_the_judge_is_noticed(mutant, noticed, criteria, monkeypatch)
     assert noticed in {f.name for f in again(0).findings(criteria) if not f.holds}
 
 
-@pytest.mark.check
 @pytest.mark.parametrize(
     ("changes", "noticed"),
     [

@@ -36,7 +36,6 @@ def seen():
     return look(*cell()[:2], RIG, cell()[2], noise=0)
 
 
-@pytest.mark.check
 @pytest.mark.parametrize("which", ["object", "hand"])
 def test_depth_and_labels_are_those_of_float64_rays_on_mujocos_robot_and_the_meshes(which):
     scene, trials, T = cell()

@@ -38,7 +38,6 @@ def height(seen, pick, T_obj_ee, T_world_ee):
     return T_world_ee[..., 2, 3]
 
 
-@pytest.mark.check
 def test_mined_pairs_are_the_best_of_each_round_and_are_judged(pairs):
     item = next(iter(mine(pairs, height, first=20, second=10, top=2, items=1)))
     plain = pairs.item(0)

@@ -135,7 +135,6 @@ def others(folder):
     return folder
 
 
-@pytest.mark.check
 def test_only_a_benchmark_that_asks_for_pick_has_another_digest_and_another_column(v3):
     v2 = load_benchmark("r2h-v2")
     assert v2.asks == () and v3.asks == ("pick", "presented", "received")

@@ -179,7 +179,6 @@ def swept(tmp_path_factory):
     return folder / "run"
 
 
-@pytest.mark.check
 def test_a_run_that_was_moved_is_reported_explained_and_judged_again_without_its_sources(swept, tmp_path, capsys):
     run = shutil.move(swept, tmp_path / "moved")
     files = sorted(p.name for p in (run / "benchmark" / "objects" / "mine").iterdir())
