@@ -77,7 +77,9 @@ def pool():
     return vector(1).unwrapped.pool.trial_id.tolist()
 
 
-@pytest.mark.parametrize("seed", [0, pytest.param(5, marks=pytest.mark.whole(part="closed_loop")), 2**62 + 3])
+@pytest.mark.parametrize(
+    "seed", [*(pytest.param(s, marks=pytest.mark.whole(part="closed_loop")) for s in (0, 5)), 2**62 + 3]
+)
 def test_the_handover_is_the_seeds_place_and_the_row_and_all_rows_before(pool, seed):
     n = len(pool)
     assert n > 4

@@ -262,7 +262,9 @@ def with_forearm(trial, T_world_ee, ends, radius):
     return replace(trial, receiver=receiver)
 
 
-@pytest.mark.parametrize("across", [True, False], ids=["across", "beside"])
+@pytest.mark.parametrize(
+    "across", [pytest.param(True, marks=pytest.mark.whole(part="judge")), False], ids=["across", "beside"]
+)
 def test_a_person_before_closing_fingers_counts(across):
     """A forearm before the open fingers' tips, which go 13 mm along z as they close: across both, or along one of them that is
     past it when it has closed."""

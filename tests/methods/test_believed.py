@@ -64,7 +64,6 @@ def true_surface(row):
     return mesh
 
 
-@pytest.mark.check
 def test_a_completed_solid_is_closed_and_holds_what_exact_images_show():
     for row in each((0, 3, 4, 5)):
         found = solid(row)
@@ -272,6 +271,7 @@ def test_a_believed_object_has_the_told_region_and_no_other_part():
             assert len(own.grasps) > 20
 
 
+@pytest.mark.whole(part="methods")
 def test_a_told_region_moves_answers_of_its_own_trials_alone():
     method = asked(robust, shown=(), draws=0)
     hidden, told = (method.ask(view(region=r)[torch.tensor([1, 3, 4, 5])]) for r in ("hidden", "told"))
@@ -305,7 +305,10 @@ def test_a_region_that_is_nowhere_or_everywhere_is_none():
             assert torch.equal(a, b)
 
 
-@pytest.mark.parametrize("region", [pytest.param("hidden", marks=pytest.mark.slow), "told"])
+@pytest.mark.parametrize(
+    "region",
+    [pytest.param("hidden", marks=pytest.mark.slow), pytest.param("told", marks=pytest.mark.whole(part="methods"))],
+)
 def test_answers_have_the_same_bits_alone_and_in_any_order(region):
     method = asked(fc)
     seen = view(region=region)

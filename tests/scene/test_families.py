@@ -129,9 +129,9 @@ def test_an_instance_is_drawn_once_and_then_read_from_disk_with_all_that_it_had(
     for _ in each(range(2)):
         found = kept.kept_instance(cup, 1005, 2)
         assert object_digest(found) == object_digest(drawn) and found.category == "cup" and found.repair == drawn.repair
-    assert times == [(cup, 1005, 2)]
-    for other in each([(cup, 1005, 3), (cup, 1006, 2), (bowl, 1005, 2)]):
-        assert object_digest(kept.kept_instance(*other)) == object_digest(model_of(draw_instance(*other)))
+    others = [(cup, 1005, 3), (cup, 1006, 2), (bowl, 1005, 2)]
+    digests = {object_digest(kept.kept_instance(*other)) for other in others}
+    assert times == [(cup, 1005, 2), *others] and len(digests - {object_digest(drawn)}) == 3
     standing = kept.kept_instance(bottle, 1005, 2, standing=True)
     assert not np.array_equal(standing.com, kept.kept_instance(bottle, 1005, 2).com)
 

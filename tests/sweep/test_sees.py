@@ -114,6 +114,7 @@ def test_a_method_that_sees_is_judged_by_all_criteria_and_the_run_says_what_it_s
     assert "| Pick posture |" in render(table_of(run), "md").replace("  ", " ")
 
 
+@pytest.mark.whole(part="sweep")
 def test_poses_that_are_not_finite_or_not_rigid_are_invalid_rows_and_the_others_are_judged_as_ever(
     run, methods, tmp_path
 ):
@@ -209,6 +210,7 @@ def test_runs_that_see_otherwise_are_not_paired_and_do_not_share_a_folder(run, m
     assert again.returncode == 2 and "digests (sees)" in again.stderr
 
 
+@pytest.mark.whole(part="sweep")
 def test_a_told_region_reaches_the_method_and_such_runs_are_not_paired_with_others(run, methods, tmp_path, capsys):
     told = tmp_path / "told"
     assert swept(methods, told, method="told", sees="cell-v1,region=told").returncode == 0

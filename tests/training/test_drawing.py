@@ -196,12 +196,17 @@ ENDS = {
 
 RARE = ("the end of the program, spawned", "an error", "a kill, spawned", "a kill, of a server's forks")
 RARE += ("the stream is used no longer", "ctrl-c to its workers")
-"""Ways of which `make test` has another one: the same end, of processes that were started otherwise, of a stream that is
-closed, without a loader's workers."""
+"""Ways of which `make test` has another one: the same end, of processes that were started otherwise, of a program that
+ends, without a loader's workers."""
+
+
+def marked(how):
+    rare, closed = [pytest.mark.slow] * (how in RARE), [pytest.mark.whole(part="training")] * (how == "it is closed")
+    return pytest.param(how, marks=[*rare, *closed])
 
 
 @pytest.mark.alone
-@pytest.mark.parametrize("how", [pytest.param(how, marks=pytest.mark.slow) if how in RARE else how for how in ENDS])
+@pytest.mark.parametrize("how", [marked(how) for how in ENDS])
 def test_processes_end_with_the_program_however_that_ends(how, tmp_path):
     first, then = ENDS[how]
     program = tmp_path / "program.py"

@@ -52,6 +52,7 @@ def test_a_film_says_trial_method_time_and_from_the_end_on_the_verdict(reader, t
     assert sum(bool(v) for _, (_, v) in said) >= 2  # there is time to read it
 
 
+@pytest.mark.whole(part="view")
 def test_a_film_without_a_motion_turns_around_the_posture_and_says_why(reader, tmp_path, monkeypatch):
     import imageio.v3 as imageio
 

@@ -209,7 +209,7 @@ def published():
     return Reader(PAPER)
 
 
-SECOND, COSTLY = (24, 71, 34), (66, 59, 3)
+SECOND, COSTLY = (24, 71, 34), (66, 59, 3, 4)
 """Trials that fail by what another one fails by; and those that fail by what a leg, a word or a page of another test shows."""
 
 
@@ -322,6 +322,7 @@ class FakeServer:
         return add
 
 
+@pytest.mark.whole(part="view")
 @needs("gl")
 def test_a_strip_of_s1_draws_region_and_ball_and_the_camera_is_never_behind_the_receiver(published):
     for method, trial in (("fc", 3), ("random", 59), ("fc", 67)):

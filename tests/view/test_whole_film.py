@@ -33,6 +33,7 @@ def drawing(reader):
     return Drawing(reader.trial(row["trial_id"], method))
 
 
+@pytest.mark.whole(part="view")
 @needs("gl")
 def test_a_row_is_told_from_the_cameras_on(reader, drawing):
     story = story_of(reader, drawing, 4)

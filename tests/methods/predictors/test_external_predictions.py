@@ -83,7 +83,8 @@ def same(a, b):
 
 
 @pytest.mark.parametrize("method, receive", [
-    (fc, predict_receiving), (contact, predict_receiving), (intent, retrieve_receiving)
+    (fc, predict_receiving), pytest.param(contact, predict_receiving, marks=pytest.mark.whole(part="methods")),
+    (intent, retrieve_receiving),
 ])  # fmt: skip
 def test_hands_as_manos_numbers_are_the_hands_that_were_meant(scene, asked, seen_in, method, receive):
     seen = seen_in("hands", truth(scene, asked, receive) | {"source": np.array("text2hoi")})

@@ -153,6 +153,7 @@ def test_stored_capacities_are_those_of_the_programs_again_and_of_linprog(name, 
     assert carries.mean() > 0.9  # the rest: friction needs more than MOST_GRIP_N, or contacts at the very cutoff
 
 
+@pytest.mark.whole(part="trials")
 def test_hands_on_all_objects_of_the_default_benchmark_are_shipped_with_what_they_withstand(monkeypatch):
     def asked(*args, **words):
         raise AssertionError("sampled at first use")
