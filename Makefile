@@ -14,14 +14,15 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 
 # Two processes, each with one thread of torch and BLAS: more threads than cores only wait for each other.
 # And two goes, because a process that runs all tests grows to 9 GB. Where a process is killed the run ends: xdist would wait for ever.
-# Files come in their order: xdist begins with those of many tests, and two long tests of a short file would come last.
+# Files come in this order, short ones last: xdist would begin with those of many tests, and one process would end long after the other.
 BESIDE := tests/kernels
-FIRST_ROOMS := $(addprefix tests/,judge methods observe trials training)
+FIRST_ROOMS := $(addprefix tests/,judge methods training observe trials)
 # Of these two one compiles the kernels of MuJoCo-Warp, for a minute, and the other none of them: else both processes would.
 BEGIN := $(addprefix tests/judge/,motion/test_motion.py calls/test_gradients.py)
 OF_JUDGE := $(sort $(wildcard tests/judge/test_*.py tests/judge/*/test_*.py))
 FIRST_GO := $(BEGIN) $(filter-out $(BEGIN),$(OF_JUDGE)) $(filter-out tests/judge,$(FIRST_ROOMS))
-SECOND_GO := tests $(addprefix --ignore=,$(BESIDE) $(FIRST_ROOMS))
+ROOMS := $(sort $(shell find tests -mindepth 2 -name 'test_*.py' | cut -d/ -f1,2))
+SECOND_GO := $(filter-out $(BESIDE) $(FIRST_ROOMS),$(ROOMS)) $(sort $(wildcard tests/test_*.py))
 ALONE := $(shell grep -rl --include='test_*.py' 'mark\.alone' tests)
 QUICK := $(shell grep -rl --include='test_*.py' 'mark\.check' tests)
 EVERY_DAY := -m "not slow and not gpu and not whole and not alone"
