@@ -1,6 +1,7 @@
 """Every test asserts something whatever its data are: a loop over nothing, or an `if` that nobody enters, asserts nothing."""
 
 import ast
+import gc
 from functools import cache
 from pathlib import Path
 
@@ -17,10 +18,23 @@ KNOWN: tuple[str, ...] = ()
 rounds of its loop), and take its line out."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def no_search_for_cycles():
+    """Syntax trees have none, and searching them takes half of the time."""
+    gc.disable()
+    yield
+    gc.enable()
+
+
+@cache
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
 @cache
 def functions_of(path: Path) -> dict[str, ast.FunctionDef]:
     """Functions of a file, and those that it imports from tests/support, by the names that the file has for them."""
-    tree = ast.parse(path.read_text(encoding="utf-8"))
+    tree = tree_of(path)
     found: dict[str, ast.FunctionDef] = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.ImportFrom) and (helper := TESTS / "support" / f"{node.module}.py").is_file():
@@ -108,7 +122,7 @@ def _fails(value: ast.expr, known: dict[str, ast.FunctionDef], inside: frozenset
 def without_sure_assert(path: Path) -> list[str]:
     """Tests of a file that may pass without an assert."""
     functions = functions_of(path)
-    own = [n for n in ast.walk(ast.parse(path.read_text(encoding="utf-8"))) if isinstance(n, ast.FunctionDef)]
+    own = [n for n in ast.walk(tree_of(path)) if isinstance(n, ast.FunctionDef)]
     return [
         f"{path.relative_to(TESTS).as_posix()}::{f.name}"
         for f in own
