@@ -1,7 +1,6 @@
 """Every test asserts something whatever its data are: a loop over nothing, or an `if` that nobody enters, asserts nothing."""
 
 import ast
-import gc
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 from rounds import each
 
 TESTS = Path(__file__).resolve().parent
+pytestmark = pytest.mark.usefixtures("syntax_trees")
 
 FAIL_BY_THEMSELVES = {"raises", "warns", "fail"}
 """Functions of pytest that fail by themselves."""
@@ -16,14 +16,6 @@ FAIL_BY_THEMSELVES = {"raises", "warns", "fail"}
 KNOWN: tuple[str, ...] = ()
 """Tests whose asserts all stand in loops or ifs that may be empty. This list only shrinks: mend a test (`rounds.each` demands
 rounds of its loop), and take its line out."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def no_search_for_cycles():
-    """Syntax trees have none, and searching them takes half of the time."""
-    gc.disable()
-    yield
-    gc.enable()
 
 
 @cache

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
+pytestmark = pytest.mark.usefixtures("syntax_trees")
 
 
 def docstrings(source: str) -> list[tuple[int, str]]:
