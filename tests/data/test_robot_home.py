@@ -187,6 +187,7 @@ def test_an_arm_whose_gripper_meets_a_link_in_each_posture_is_refused_before_all
     assert fitted == ["base"]
 
 
+@pytest.mark.whole(part="data")
 def test_a_link_that_the_gripper_meets_in_some_postures_alone_is_fitted_once_with_the_others(tmp_path, monkeypatch):
     """This wall ends below the places that are tried after the usual one."""
     fitted, of_a_link = [], importer.bodies_of
@@ -199,6 +200,7 @@ def test_a_link_that_the_gripper_meets_in_some_postures_alone_is_fitted_once_wit
     assert made(path).robot.home_q != usual and fitted == ["base", *(f"l{k}" for k in range(1, 8))]
 
 
+@pytest.mark.whole(part="data")
 def test_a_link_that_always_meets_the_gripper_is_no_reason_to_refuse(tmp_path):
     """Such a pair is not checked: here l6 holds a ball that reaches past the flange in every posture."""
     ball = '<sphere radius="0.045"/>'

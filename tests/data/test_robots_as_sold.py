@@ -403,6 +403,7 @@ def test_links_are_counted_before_a_mesh_is_read(tmp_path, monkeypatch):
         made(path)
 
 
+@pytest.mark.whole(part="data")
 def test_a_last_link_that_the_file_does_not_show_is_a_ball_of_1_mm_and_other_such_links_are_refused(tmp_path):
     def without(link: str) -> Path:
         path = write_urdf(tmp_path, **{'"j3"': '"left/j3"'})  # as MuJoCo names what it attaches

@@ -370,6 +370,7 @@ def test_a_told_region_makes_another_solid_only_where_it_is():
         assert alike == (row == 0)
 
 
+@pytest.mark.whole(part="methods")
 def test_contacts_are_those_of_the_network_and_each_surface_is_asked_once(monkeypatch):
     scene, known = cell()[0], believed.known_before(cell()[0].benchmark)
     forget()

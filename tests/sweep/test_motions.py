@@ -77,7 +77,9 @@ def judged(folder, file, out, *more):
     return load_run(folder / out)
 
 
-@pytest.mark.parametrize("planned", ["ur5e_2f85", "panda_hand"], indirect=True)
+@pytest.mark.parametrize(
+    "planned", ["ur5e_2f85", pytest.param("panda_hand", marks=pytest.mark.whole(part="sweep"))], indirect=True
+)
 def test_motions_in_a_file_get_the_verdicts_of_the_same_paths_and_a_run_goes_on(planned):
     folder, own, _ = planned
     again = reevaluate(own, "oracle", 100, Judge(own))

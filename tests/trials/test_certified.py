@@ -208,6 +208,7 @@ def test_a_file_is_read_as_it_was_written(again, tmp_path, monkeypatch):
     assert own.digest == again.certified.digest
 
 
+@pytest.mark.whole(part="trials")
 def test_a_sweep_says_how_many_trials_are_not_certified(v3, tmp_path, capsys, monkeypatch):
     n = len(v3.own_certified.trial_id) // 2
     line = ["--benchmark", "r2h-v3", "--until", "present", "--method", "random", "--execute.sim", "none"]

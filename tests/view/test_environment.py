@@ -85,6 +85,7 @@ def test_an_episode_from_the_table_begins_where_its_plan_has_lifted_the_object()
     }
 
 
+@pytest.mark.whole(part="view")
 @needs("gl")
 def test_a_single_one_passes_gymnasiums_checker_and_draws_what_moves():
     env = gymnasium.make(ID, render_mode="rgb_array", **SMALL)

@@ -112,6 +112,7 @@ def test_a_camera_is_chosen_by_what_it_sees(reader):
     assert len(again.sides) == len(DIRECTIONS_DEG)
 
 
+@pytest.mark.whole(part="view")
 def test_a_film_tells_how_far_it_is_in_python_too(reader, tmp_path, monkeypatch):
     told = []
     drawing = drawing_of(reader, "success", "oracle")

@@ -279,6 +279,7 @@ def test_a_failure_with_a_motion_is_red_on_its_page_in_a_browser(published, meth
     assert reds(scene) > 40
 
 
+@pytest.mark.whole(part="view")
 def test_one_failure_of_each_kind_is_written_or_listed(run, reader, tmp_path, capsys):
     from r2h_batch.view.server import Viewer
 

@@ -44,6 +44,7 @@ def test_what_trees_learn_from_has_no_category_of_the_group() -> None:
         assert of["without_other_things"] == {*OBJECT_NAMES} - {*group}
 
 
+@pytest.mark.whole(part="methods")
 def test_the_logged_areas_are_those_of_the_stored_trees() -> None:
     net, found = load_unseen("hammer"), []
     for model in each(load_objects([f"hammer_{k:02d}" for k in range(6)]), 6):  # the log has their mean
