@@ -17,8 +17,8 @@ demo: $(SETUP)  ## Table I for two methods over all 96 objects, on a small numbe
 # Files come in this order, short ones last: xdist would begin with those of many tests, and one process would end long after the other.
 BESIDE := tests/kernels
 FIRST_ROOMS := $(addprefix tests/,judge methods training observe trials)
-# Of these two one compiles the kernels of MuJoCo-Warp, for a minute, and the other none of them: else both processes would.
-BEGIN := $(addprefix tests/judge/,motion/test_motion.py calls/test_gradients.py)
+# Of these files the first and the third, of one process, need the kernels of MuJoCo-Warp, which take a minute to compile; those of the other do not.
+BEGIN := $(addprefix tests/judge/,motion/test_motion.py calls/test_gradients.py motion/test_motion_faults.py calls/test_torch_use.py)
 OF_JUDGE := $(sort $(wildcard tests/judge/test_*.py tests/judge/*/test_*.py))
 FIRST_GO := $(BEGIN) $(filter-out $(BEGIN),$(OF_JUDGE)) $(filter-out tests/judge,$(FIRST_ROOMS))
 ROOMS := $(sort $(shell find tests -mindepth 2 -name 'test_*.py' | cut -d/ -f1,2))
