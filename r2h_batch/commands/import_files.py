@@ -50,9 +50,6 @@ def hand(
             were fitted with the corrected sign.
         overwrite: Replace a file that is there.
     """
-    from r2h_batch.base.io.write import write_npz
-    from r2h_batch.data.mano import hand_arrays
-
     target = _npz(out, overwrite)
     mano = mano_right is not None or mano_left is not None or negate_left_shape
     if source == "anny":
@@ -61,10 +58,18 @@ def hand(
         raise UsageError(
             "--age and --sex choose a hand of --from anny; leave them out, or say --from anny"
         )
-    arrays = hand_arrays(mano_right, mano_left, negate_left_shape=negate_left_shape)
-    write_npz(target, arrays)
+    return _hand_of_mano(target, mano_right, mano_left, negate_left_shape)
+
+
+def _hand_of_mano(out: Path, right: Path | None, left: Path | None, negate_left_shape: bool) -> int:
+    """Writes the hand of MANO's own files."""
+    from r2h_batch.base.io.write import write_npz
+    from r2h_batch.data.mano import hand_arrays
+
+    arrays = hand_arrays(right, left, negate_left_shape=negate_left_shape)
+    write_npz(out, arrays)
     print(
-        f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {target};"
+        f"a hand of {len(arrays['vertices'])} vertices in {len(arrays['piece_names'])} convex pieces in {out};"
         " it holds MANO's data: do not pass it on"
     )
     return 0

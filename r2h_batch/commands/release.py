@@ -34,7 +34,7 @@ def release(
     check_range("--trials", trials, 1, MOST_TRIALS, "")
     check_output_folder(out, overwrite=None)
     from r2h_batch.runs.files import RunError
-    from r2h_batch.runs.store import UNJUDGED, load_run
+    from r2h_batch.runs.store import load_run
     from r2h_batch.scene.robot_file import DEFAULT_ROBOT
 
     stored = load_run(run)
@@ -42,25 +42,13 @@ def release(
         words = f"holds motions of {stored.robot}; r2handoversim has the {DEFAULT_ROBOT} alone"
         raise RunError(f"{printable(run)}: {words}")
     name = stored.complete(method or None)  # before torch is imported
-    from r2h_batch.view.export.release import (
-        release_names,
-        write_release_results,
-        write_release_trial,
-    )
+    from r2h_batch.view.export.release import write_release
     from r2h_batch.view.stored import Reader
 
-    reader = Reader(stored, code)
-    rows = reader.rows(name).to_pylist()
-    judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
-    names = release_names([r["trial_id"] for r in judged], name, reader.run.labels)
-    ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
-    out.mkdir(parents=True, exist_ok=True)
-    for i in ids:
-        write_release_trial(reader.trial(i, name), *names[i], out)
-    write_release_results(judged, names, out)
-    left = f"; {counted(len(rows) - len(judged), 'trials')} that were not judged are left out"
+    written = write_release(Reader(stored, code), name, out, trials=trials)
+    left = f"; {counted(written.left_out, 'trials')} that were not judged are left out"
     print(
-        f"{counted(len(ids), 'trials')} of {printable(name)} in {out}, results of {len(judged)}"
-        f"{left if len(judged) < len(rows) else ''}"
+        f"{counted(written.trials, 'trials')} of {printable(name)} in {out}, results of {written.results}"
+        f"{left if written.left_out else ''}"
     )
     return 0

@@ -18,12 +18,12 @@ from r2h_batch.verdicts import Outcome
 
 Mask = NDArray[np.bool_]
 
-BINS: dict[str, tuple[str, str, tuple[float, ...]]] = {
-    "age_years": ("age, years", "{:.0f}", (13.0, 18.0, 40.0, 65.0)),
-    "stature_m": ("stature, m", "{:.1f}", (1.2, 1.4, 1.6, 1.8)),
-    "hand_length_m": ("hand, cm", "{:.0f}", (0.15, 0.17, 0.19, 0.21)),
+BINS: dict[str, tuple[str, str, float, tuple[float, ...]]] = {
+    "age_years": ("age, years", "{:.0f}", 1.0, (13.0, 18.0, 40.0, 65.0)),
+    "stature_m": ("stature, m", "{:.1f}", 1.0, (1.2, 1.4, 1.6, 1.8)),
+    "hand_length_m": ("hand, cm", "{:.0f}", 100.0, (0.15, 0.17, 0.19, 0.21)),
 }
-"""Column -> its heading, how a bound is written (hands in cm), and the bounds between groups [choice]."""
+"""Column -> its heading, how a bound is written and by what it is multiplied there, and the bounds between groups [choice]."""
 ADULT_YEARS = (18.0, 65.0)
 MEDIAN_M = 0.05
 """A median adult stands, and is not farther than this from the median stature of the run's adults of the same sex."""
@@ -60,17 +60,10 @@ class Served:
     def groups(self) -> list[tuple[str, str, Mask]]:
         """(what divides, group, its trials); groups without trials are left out."""
         found: list[tuple[str, str, Mask]] = []
-        for name, (heading, form, bounds) in BINS.items():
-            unit = 100.0 if name == "hand_length_m" else 1.0
-            words = [form.format(unit * b) for b in bounds]
-            names = [
-                f"below {words[0]}",
-                *(f"{a} to {b}" for a, b in pairwise(words)),
-            ]
+        for name, (heading, form, scale, bounds) in BINS.items():
             place = np.digitize(self.columns[name].astype(np.float64), bounds)
-            found += [
-                (heading, w, place == k) for k, w in enumerate([*names, f"{words[-1]} and more"])
-            ]
+            words = _bin_names([form.format(scale * bound) for bound in bounds])
+            found += [(heading, word, place == k) for k, word in enumerate(words)]
         sex, seated = self.columns["sex"], self.columns["seated"].astype(bool)
         found += [("sex", str(word), sex == word) for word in np.unique(sex)]
         found += [("seat", "standing", ~seated), ("seat", "seated", seated)]
@@ -94,6 +87,12 @@ class Served:
             for name in np.unique(objects[median])
             if (self.success[:, median & (objects == name)].mean(1) >= SERVED).all()
         ]
+
+
+def _bin_names(bounds: Sequence[str]) -> list[str]:
+    """The groups below, between and above bounds, in words."""
+    between = (f"{a} to {b}" for a, b in pairwise(bounds))
+    return [f"below {bounds[0]}", *between, f"{bounds[-1]} and more"]
 
 
 def served(run: Run) -> Served:

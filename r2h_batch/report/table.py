@@ -333,6 +333,13 @@ def _without(row: Row, share: str) -> Row:
 
 def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
     """The lines of the run's methods in a run of the reader's own objects."""
+    _check_scans(run, scans)
+    methods = [name for name in run.methods if name in scans.methods]
+    return {(r.split, r.method): r for r in summarise([tally(scans, m) for m in methods])}
+
+
+def _check_scans(run: Run, scans: Run) -> None:
+    """Refuses a run that has not the same methods and options as `run`, or not the reader's own objects."""
     words = f"{scans.folder} is no run of your scans for {run.folder}"
     if any(o["built_in"] for o in scans.header.get("objects", ())):
         raise ValueError(
@@ -344,10 +351,8 @@ def _beside(run: Run, scans: Run) -> dict[tuple[str, str], Row]:
     for key in ("configuration", "seed", "predictors"):
         if asked[0].get(key) != asked[1].get(key):
             raise ValueError(f"{words}: it has another {key}; sweep with the same options")
-    methods = [name for name in run.methods if name in scans.methods]
-    if not methods:
+    if not set(run.methods) & set(scans.methods):
         raise ValueError(f"{words}: it has none of its methods; sweep the same --method")
-    return {(r.split, r.method): r for r in summarise([tally(scans, m) for m in methods])}
 
 
 def _misses(header: Mapping[str, Any]) -> str:

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -184,44 +185,53 @@ def write_strips(drawings: Sequence[Drawing], out: Path, *, n: int, size: tuple[
         figure = Figure(figsize=(wide * n, sum(heights)), dpi=160)
         parts = figure.subfigures(len(heights), 1, height_ratios=heights, squeeze=False)
         heading, *rows, foot = parts[:, 0]
-        still = [d for d in drawings if not d.stored.moves]
-        groups = {
-            g
-            for d in drawings
-            if d not in still
-            for *_, f in d.moments(n)
-            for g in d.groups(fails=f)
-        }
-        patches = [
-            Patch(color=c, label=words)
-            for c, words in legend(
-                drawings, groups | ({"target", "region", "witness"} if still else set())
-            )
-        ]
-        if patches:
+        marks = legend(drawings, _groups_shown(drawings, n))
+        if patches := [Patch(color=c, label=words) for c, words in marks]:
             foot.legend(handles=patches, loc="center", ncols=4, frameon=False, fontsize=7)
         heading.text(0.5, 0.5, title(drawings[0]), ha="center", va="center", fontsize=10)
         for part, drawing, row in zip(rows, drawings, each, strict=True):
-            stored = drawing.stored
-            verdict = (verdict_of(stored), stored.row["outcome"] == "success")
-            words, good = drawing.ended or verdict
-            color = PASSES if good else FAILS
-            method = stored.method
-            if len(method) + len(words) > LETTERS * n:  # both stand in one line
-                method = method.partition(" (")[0]
-            letters = 9 * min(1.0, LETTERS * n / (len(method) + len(words)))
-            part.text(0.005, 0.995, method, ha="left", va="top", fontsize=letters, weight="bold")
-            part.text(0.995, 0.995, words, ha="right", va="top", fontsize=letters, color=color)
-            axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
-            part.subplots_adjust(left=0.005, right=0.995, top=1 - 0.26 / tall, bottom=0.01)
-            for axis in axes:
-                axis.set_axis_off()
-            for axis, (image, when) in zip(axes, row, strict=False):
-                axis.imshow(image)
-                plate = {"color": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0}
-                axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, bbox=plate)
+            _write_verdict(part, drawing, LETTERS * n)
+            _write_images(part, row, n, top=1 - 0.26 / tall)
         with atomic_path(out) as temporary:
             figure.savefig(temporary, metadata={"Software": None} if out.suffix == ".png" else None)
+
+
+def _groups_shown(drawings: Sequence[Drawing], n: int) -> set[str]:
+    """The groups of marks in rows of `n` images."""
+    moving = [drawing for drawing in drawings if drawing.stored.moves]
+    still = {"target", "region", "witness"} if len(moving) < len(drawings) else set()
+    return still | {
+        group
+        for drawing in moving
+        for *_, fails in drawing.moments(n)
+        for group in drawing.groups(fails=fails)
+    }
+
+
+def _write_verdict(part: Any, drawing: Drawing, most: int) -> None:
+    """Writes a method and its verdict above its row, which has room for `most` letters of full size."""
+    stored = drawing.stored
+    verdict = (verdict_of(stored), stored.row["outcome"] == "success")
+    words, good = drawing.ended or verdict
+    color = PASSES if good else FAILS
+    method = stored.method
+    if len(method) + len(words) > most:  # both stand in one line
+        method = method.partition(" (")[0]
+    letters = 9 * min(1.0, most / (len(method) + len(words)))
+    part.text(0.005, 0.995, method, ha="left", va="top", fontsize=letters, weight="bold")
+    part.text(0.995, 0.995, words, ha="right", va="top", fontsize=letters, color=color)
+
+
+def _write_images(part: Any, row: Sequence[tuple[Image, str]], n: int, *, top: float) -> None:
+    """Puts the images of a row, each with its caption, side by side below `top`, with room for `n`."""
+    axes = part.subplots(1, n, gridspec_kw={"wspace": 0.02}, squeeze=False)[0]
+    part.subplots_adjust(left=0.005, right=0.995, top=top, bottom=0.01)
+    for axis in axes:
+        axis.set_axis_off()
+    for axis, (image, when) in zip(axes, row, strict=False):
+        axis.imshow(image)
+        plate = {"color": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0}
+        axis.text(0.03, 0.05, when, transform=axis.transAxes, fontsize=7, bbox=plate)
 
 
 def save_picture(file: str | Path, image: Image) -> None:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -491,6 +492,23 @@ def _moved(
     return moved
 
 
+class _Bone(NamedTuple):
+    """A bone at rest (`0`) and where it is."""
+
+    start0: Array
+    along0: Array
+    """(3,) its direction"""
+    long0: float
+    """m"""
+    start: Array
+    along: Array
+    long: float
+    turn: Array
+    """(3, 3) of its start"""
+    twist: float
+    """by how much more its end is turned about it, rad"""
+
+
 def _arm(
     rest: Array, before: Array, now: Array, wider: Array, across: Array | None, palm: Array | None
 ) -> tuple[Array, Array]:
@@ -504,6 +522,14 @@ def _arm(
         across: (3,) out of the palm at rest; None: the forearm does not turn.
         palm: (3,) the same now.
     """
+    upper, fore = _bones(before, now, across, palm)
+    return _carried(rest, upper, wider[0]), _carried(rest, fore, wider[1])
+
+
+def _bones(
+    before: Array, now: Array, across: Array | None, palm: Array | None
+) -> tuple[_Bone, _Bone]:
+    """How upper arm and forearm move; arguments as of `_arm`."""
     (up0, low0), (up, low) = (np.diff(p, axis=0) / _norm(np.diff(p, axis=0)) for p in (before, now))
     long0, long = (_norm(np.diff(p, axis=0))[:, 0] for p in (before, now))
     hinge0, hinge = np.cross(up0, low0), np.cross(up, low)
@@ -514,15 +540,19 @@ def _arm(
     twist = 0.0
     if across is not None and palm is not None:
         twist = float(np.clip(_angle(fore @ across, palm, low), -MOST_TWIST, MOST_TWIST))
-    bones = ((plain, up0, up, roll), (fore, low0, low, twist))
-    made = []
-    for k, (turn, along0, along, angle) in enumerate(bones):
-        t = (rest - before[k]) @ along0
-        off = (rest - before[k] - t[:, None] * along0) @ turn.T
-        share = np.clip(t / long0[k], 0.0, 1.0)
-        off = Rotation.from_rotvec(angle * share[:, None] * along).apply(off)
-        made.append(now[k] + (t * long[k] / long0[k])[:, None] * along + wider[k] * off)
-    return made[0], made[1]
+    return (
+        _Bone(before[0], up0, long0[0], now[0], up, long[0], plain, roll),
+        _Bone(before[1], low0, long0[1], now[1], low, long[1], fore, twist),
+    )
+
+
+def _carried(rest: Array, bone: _Bone, wider: float) -> Array:
+    """The vertices (V, 3) as a bone moves them: stretched along it and widened about it."""
+    t = (rest - bone.start0) @ bone.along0
+    off = (rest - bone.start0 - t[:, None] * bone.along0) @ bone.turn.T
+    share = np.clip(t / bone.long0, 0.0, 1.0)
+    off = Rotation.from_rotvec(bone.twist * share[:, None] * bone.along).apply(off)
+    return np.asarray(bone.start + (t * bone.long / bone.long0)[:, None] * bone.along + wider * off)
 
 
 def _across(joints: dict[str, Array]) -> Array:

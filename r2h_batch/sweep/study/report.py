@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from itertools import combinations, permutations
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -22,6 +22,9 @@ RATING_COLUMNS = {
 Ratings = tuple[np.ndarray, list[str], int]
 """(participants, methods) ratings of complete participants, the methods, participants left out."""
 
+People = dict[str, dict[str, int]]
+"""Participant -> method -> rating."""
+
 
 def read_ratings(path: Path) -> dict[str, Ratings]:
     """Dimension -> its ratings, from columns participant, method, dimension, rating (1 to 5)."""
@@ -29,25 +32,35 @@ def read_ratings(path: Path) -> dict[str, Ratings]:
     methods = list(dict.fromkeys(r["method"] for r in rows))
     if len(methods) < 2:
         raise FileError(f"{path}: all ratings are of {methods[0]}; two or more methods are needed")
-    found: dict[str, dict[str, dict[str, int]]] = {}
+    return {
+        dimension: _complete(people, methods, f"{path}: {dimension}")
+        for dimension, people in _by_dimension(rows, path).items()
+    }
+
+
+def _by_dimension(rows: Sequence[Mapping[str, Any]], path: Path) -> dict[str, People]:
+    """Dimension -> the ratings of each participant; refuses two of one participant for one method."""
+    found: dict[str, People] = {}
     for r in rows:
         person = found.setdefault(r["dimension"], {}).setdefault(r["participant"], {})
         if r["method"] in person:
             words = f"{r['participant']} rates {r['method']} twice for {r['dimension']}"
             raise FileError(f"{path}: line {r[LINE]}: participant {words}")
         person[r["method"]] = r["rating"]
-    result = {}
-    for dimension, people in found.items():
-        complete = [[p[m] for m in methods] for p in people.values() if len(p) == len(methods)]
-        if len(complete) < 2:
-            counts = {m: sum(m in p for p in people.values()) for m in methods}
-            rated = ", ".join(f"{m} {n}" for m, n in counts.items())
-            raise FileError(
-                f"{path}: {dimension}: {len(complete)} participants rated every method; two are needed."
-                f" Ratings by method: {rated}; mend a misspelt name, or leave it out"
-            )
-        result[dimension] = (np.array(complete), methods, len(people) - len(complete))
-    return result
+    return found
+
+
+def _complete(people: People, methods: list[str], where: str) -> Ratings:
+    """The ratings of those who rated every method; two of them at least."""
+    complete = [[p[m] for m in methods] for p in people.values() if len(p) == len(methods)]
+    if len(complete) < 2:
+        counts = {m: sum(m in p for p in people.values()) for m in methods}
+        rated = ", ".join(f"{m} {n}" for m, n in counts.items())
+        raise FileError(
+            f"{where}: {len(complete)} participants rated every method; two are needed."
+            f" Ratings by method: {rated}; mend a misspelt name, or leave it out"
+        )
+    return np.array(complete), methods, len(people) - len(complete)
 
 
 def rating_report(ratings: Mapping[str, Ratings]) -> str:

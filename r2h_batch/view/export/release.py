@@ -11,7 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -20,9 +20,11 @@ from numpy.typing import NDArray
 
 from r2h_batch.base.io.write import atomic_path, csv_cell, write_json, write_text
 from r2h_batch.data.release import PADS_M, T_world_release, along_z, palm_in_hand
+from r2h_batch.runs.store import UNJUDGED
 from r2h_batch.verdicts import EVERY, PAPER, SIDES, SPLITS
 from r2h_batch.view.export.region_boxes import region_as_boxes
 from r2h_batch.view.mjcf import posture_at
+from r2h_batch.view.stored import Reader
 from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
@@ -37,6 +39,37 @@ TOOL_M = 0.051953
 NOT_TURNED: Array = np.eye(3)
 CELLS_OF_OBJECT = 12
 """As many boxes along each axis of an object: its shape decides Reach and Affordance."""
+
+
+class Written(NamedTuple):
+    """What `write_release` wrote of a method."""
+
+    trials: int
+    """trials with a file"""
+    results: int
+    """trials with a verdict"""
+    left_out: int
+    """trials that nobody judged"""
+
+
+def write_release(reader: Reader, method: str, folder: Path, *, trials: int) -> Written:
+    """A method's first judged trials of each split as files in the folder, and the verdicts of all judged ones.
+
+    Args:
+        reader: of the run.
+        method: its name in the run.
+        folder: where they go.
+        trials: at most so many of each split.
+    """
+    rows = reader.rows(method).to_pylist()
+    judged = sorted((r for r in rows if r["outcome"] not in UNJUDGED), key=lambda r: r["trial_id"])
+    names = release_names([r["trial_id"] for r in judged], method, reader.run.labels)
+    ids = [i for s in (0, 1) for i in [i for i in names if i % 2 == s][:trials]]
+    folder.mkdir(parents=True, exist_ok=True)
+    for i in ids:
+        write_release_trial(reader.trial(i, method), *names[i], folder)
+    write_release_results(judged, names, folder)
+    return Written(len(ids), len(judged), len(rows) - len(judged))
 
 
 def write_release_trial(stored: StoredTrial, name: str, variant: str, folder: Path) -> Path:
