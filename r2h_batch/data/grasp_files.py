@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,9 +160,30 @@ LEAST_FRICTION = 0.4
 BEST = 10_000
 
 
+class _Labels(NamedTuple):
+    """GraspNet-1Billion's label of an object: grasps at P points from 300 views, at 12 angles and 4 depths."""
+
+    points: F64
+    """(P, 3)"""
+    offsets: NDArray[Any]
+    """(P, 300, 12, 4, 3) angle, depth, width"""
+    score: NDArray[Any]
+    """(P, 300, 12, 4) the least friction that holds, -1: none"""
+    free: NDArray[np.bool_]
+    """(P, 300, 12, 4) without collision; (1, 1, 1, 1): the file does not say"""
+
+
 def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
-    """The best grasps of GraspNet-1Billion's label of an object: points (P, 3), offsets (P, 300, 12,
-    4, 3: angle, depth, width), scores (P, 300, 12, 4: the least friction that holds, -1: none)."""
+    """The best grasps of GraspNet-1Billion's label of an object."""
+    where = printable(path)
+    labels = _read_labels(path)
+    best = _best(labels, where)
+    arrays = _decoded(labels, best, where, T_obj_source)
+    return checked_grasps(arrays, where, "graspnet"), labels.score.size - len(best)
+
+
+def _read_labels(path: Path) -> _Labels:
+    """The label of a file; refuses what is none."""
     where = printable(path)
     names = ("points", "offsets", "scores", "collision")
     found = read_npz(path, only=names, most=MAX_LABELS, most_each=MAX_LABELS)
@@ -177,18 +198,31 @@ def _graspnet_labels(path: Path, T_obj_source: F64 | None) -> Found:
     free = ~found["collision"] if "collision" in found else np.ones((1, 1, 1, 1), bool)
     if score.shape != grid or offsets.shape != (*grid, 3) or free.shape not in (grid, (1,) * 4):
         raise FileError(f"{where}: scores are {score.shape}; need {' x '.join(map(str, grid))}")
-    good = np.flatnonzero((score > 0) & (score <= LEAST_FRICTION) & free)
+    return _Labels(points, offsets, score, free)
+
+
+def _best(labels: _Labels, where: str) -> NDArray[np.intp]:
+    """The `BEST` grasps that hold with the least friction, as indices into the flat score."""
+    score = labels.score
+    good = np.flatnonzero((score > 0) & (score <= LEAST_FRICTION) & labels.free)
     if not len(good):
         raise FileError(f"{where}: no grasp holds with a friction of {LEAST_FRICTION}")
-    best = good[np.argsort(score.ravel()[good], kind="stable")[:BEST]]
-    point, view, _, _ = np.unravel_index(best, grid)
-    angle, depth, width = numbers(offsets.reshape(-1, 3)[best], (None, 3), f"{where} offsets").T
+    return good[np.argsort(score.ravel()[good], kind="stable")[:BEST]]
+
+
+def _decoded(
+    labels: _Labels, rows: NDArray[np.intp], where: str, T_obj_source: F64 | None
+) -> dict[str, F64]:
+    """The arrays of a `GraspSet` of some of the grasps, by their indices into the flat score."""
+    point, view, _, _ = np.unravel_index(rows, labels.score.shape)
+    offsets = labels.offsets.reshape(-1, 3)[rows]
+    angle, depth, width = numbers(offsets, (None, 3), f"{where} offsets").T
     from scipy.spatial.transform import Rotation  # 0.4 s: benchmarks without such files need none
 
     R = _views()[view] @ Rotation.from_rotvec(np.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
-    T = _graspnet_poses(R, points[point], depth, T_obj_source)
-    arrays = {"T_obj_ee": T, "width": width, "score": 1.1 - score.ravel()[best].astype(np.float64)}
-    return checked_grasps(arrays, where, "graspnet"), score.size - len(best)
+    T = _graspnet_poses(R, labels.points[point], depth, T_obj_source)
+    score = 1.1 - labels.score.ravel()[rows].astype(np.float64)
+    return {"T_obj_ee": T, "width": width, "score": score}
 
 
 def _views() -> F64:

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from importlib import metadata
 from importlib.machinery import PathFinder
 from pathlib import Path, PurePosixPath
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from r2h_batch.base.errors import FileError, UsageError
 from r2h_batch.base.io.read import printable
@@ -103,6 +103,16 @@ def _module(package: str, name: str) -> str:
 def _told(module: str, source: str) -> Packaged:
     """The file that a module tells."""
     shown = f"--from {printable(source)[:80]}"
+    paths, folder = _paths_of(module, shown)
+    found = [path for path in paths if isinstance(path, str)]
+    if not found:
+        raise FileError(f"{shown}: {module} has neither URDF_PATH nor MJCF_PATH")
+    file = Path(found[0])
+    return Packaged(file, Path(folder) if isinstance(folder, str) else file.parent)
+
+
+def _paths_of(module: str, shown: str) -> tuple[list[Any], Any]:
+    """URDF_PATH and MJCF_PATH of a module, and its PACKAGE_PATH; None: it has none. It runs in a process of its own."""
     line = [sys.executable, "-c", _TELL, module]
     env = {**os.environ, "GIT_ALLOW_PROTOCOL": "none", "PYTHONPATH": os.pathsep.join(sys.path)}
     try:
@@ -115,8 +125,4 @@ def _told(module: str, source: str) -> Packaged:
         raise FileError(
             f"{shown}: its files are not here, and nothing is downloaded; {how}"
         ) from None
-    found = [path for path in paths if isinstance(path, str)]
-    if not found:
-        raise FileError(f"{shown}: {module} has neither URDF_PATH nor MJCF_PATH")
-    file = Path(found[0])
-    return Packaged(file, Path(folder) if isinstance(folder, str) else file.parent)
+    return paths, folder

@@ -3,7 +3,7 @@
 from typing import Literal
 
 import torch
-from jaxtyping import Float32, Float64, UInt8
+from jaxtyping import Bool, Float32, Float64, UInt8
 from torch import Tensor
 
 from r2h_batch.base.errors import UsageError
@@ -203,10 +203,15 @@ def _check_in_view(scene: Scene, trials: Trials, rig: Rig, about: Float64[Tensor
     if not bool(seen.any(1).all()):
         row = int((~seen.any(1)).nonzero()[0])
         name = scene.objects[int(trials.object_index[row])].name
-        what = "is in no camera's image; turn a camera towards the table"
-        if bool(inside[row].any()):
-            away = float(z[row][inside[row]].min())
-            what = f"is {away:.1f} m from the nearest camera that looks at it; they see {FAR_M:g} m"
+        why = _why_unseen(inside[row], z[row])
         raise UsageError(
-            f"rig {rig.name}: object {name} of trial {int(trials.trial_id[row])} {what}"
+            f"rig {rig.name}: object {name} of trial {int(trials.trial_id[row])} {why}"
         )
+
+
+def _why_unseen(inside: Bool[Tensor, " c"], z: Float64[Tensor, " c"]) -> str:
+    """What is wrong with a place that no camera sees: which of them have it in their image, and its depth in each, m."""
+    if not bool(inside.any()):
+        return "is in no camera's image; turn a camera towards the table"
+    away = float(z[inside].min())
+    return f"is {away:.1f} m from the nearest camera that looks at it; they see {FAR_M:g} m"

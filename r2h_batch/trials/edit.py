@@ -19,7 +19,7 @@ from r2h_batch.base.validate import parse_number
 from r2h_batch.data.grasp_files import GRASP_FILES, grasps_from, without_gripper
 from r2h_batch.data.people import people_hand, people_hand_set
 from r2h_batch.scene.build_ahead import build_ahead
-from r2h_batch.scene.hand import HandSet, load_hand_set, make_hand_set
+from r2h_batch.scene.hand import HandModel, HandSet, load_hand_set, make_hand_set
 from r2h_batch.scene.hand_file import HandChoice
 from r2h_batch.scene.objects import (
     ObjectModel,
@@ -153,6 +153,11 @@ def _hand_set(choice: BenchmarkChoice, base: HandSet) -> HandSet:
     model = hand_of(Path(choice.hand_model)) if choice.hand_model else base.model
     if choice.hands:
         return hand_set_of([(Path(choice.hands), HandChoice())], model)
+    return _on_hand(base, model)
+
+
+def _on_hand(base: HandSet, model: HandModel) -> HandSet:
+    """The postures of a hand set on another hand."""
     a = {k: getattr(base, k).numpy() for k in ("pose", "shape", "side")}
     turned = None if base.in_body is None else base.in_body.numpy()
     return make_hand_set(model, **a, posture=base.posture, in_body=turned)

@@ -119,9 +119,10 @@ def _read(path: str, _: str, pieces: bool) -> Benchmark:
         head_m = file.head_clearance_m
         if head_m is None:
             head_m = own.head_clearance_m if receiver == "body" else 0.0
+        _check_home(file.home, own.robot, shown)
         return replace(
             own, name=_name_of(Path(path)), objects=objects, hand_set=hand_set, thresholds=file.thresholds,
-            workplace=_workplace(file, path, own), listed=listed, labels=labels, receiver=receiver, people=people,
+            workplace=_workplace(file, own.workplace), listed=listed, labels=labels, receiver=receiver, people=people,
             seed=file.seed or "", asks=own.asks if file.asks is None else tuple(file.asks), head_clearance_m=head_m,
         )  # fmt: skip
     except FileError:
@@ -169,13 +170,17 @@ def _grasps(folder: Path, argument: str) -> GraspSet:
     return grasps_from(f"{inside}:{gripper}" if gripper else inside)
 
 
-def _workplace(file: BenchmarkFile, path: str, base: Benchmark) -> Workplace:
-    robot, own = base.robot, base.workplace
-    for i, (q, low, high) in enumerate(zip(file.home, robot.lower, robot.upper, strict=True)):
+def _check_home(home: Sequence[float], robot: Robot, shown: str) -> None:
+    """Refuses a home posture outside the robot's joint limits."""
+    for i, (q, low, high) in enumerate(zip(home, robot.lower, robot.upper, strict=True)):
         if not low <= q <= high:
             raise FileError(
-                f"{printable(path)}: home.{i} is {q}; the robot's joint goes from {low:.4f} to {high:.4f} rad"
+                f"{shown}: home.{i} is {q}; the robot's joint goes from {low:.4f} to {high:.4f} rad"
             )
+
+
+def _workplace(file: BenchmarkFile, own: Workplace) -> Workplace:
+    """The workplace of a file: what it does not say is as in `own`."""
     home = tuple(file.home) if "home" in file.model_fields_set else own.home_q
     if "table" not in file.model_fields_set:
         return replace(own, home_q=home)

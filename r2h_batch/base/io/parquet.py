@@ -131,8 +131,15 @@ def _looked_at(paths: Sequence[Path]) -> list[str]:
 
 
 def _child(data: bytes, options: dict[str, Any]) -> list[Any]:
-    if "look" in options:
-        return [np.array([_wrong(Path(p)) for p in json.loads(data)], np.str_)]
+    """Looks at the files of a list, or reads a file."""
+    return _looks(data) if "look" in options else _reads(data, options)
+
+
+def _looks(data: bytes) -> list[Any]:
+    return [np.array([_wrong(Path(p)) for p in json.loads(data)], np.str_)]
+
+
+def _reads(data: bytes, options: dict[str, Any]) -> list[Any]:
     try:
         found, counts = _arrays(io.BytesIO(data), **options)
     except (OSError, pa.ArrowException) as error:
