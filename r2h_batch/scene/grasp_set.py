@@ -22,6 +22,8 @@ WIDEST_M = 10.0
 SPECS: dict[str, Spec] = {
     "T_obj_ee": ("f", ("N", 4, 4)), "width": ("fiu", ("N",)), "score": ("fiu", ("N",)), "part": ("iu", ("N",)),
 }  # fmt: skip
+DEFAULTS = {"width": 0.0, "score": 1.0, "part": ANY_PART}
+"""What arrays that a file may leave out are full of."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +83,20 @@ def read_grasps(path: str | Path) -> GraspSet:
 
 def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspSet:
     """The set of these arrays; `FileError` where they are not grasps."""
-    n, defaults = len(np.atleast_1d(found.get("T_obj_ee", ()))), {"width": 0.0, "score": 1.0}
-    filled = {k: np.full(n, v) for k, v in {**defaults, "part": ANY_PART}.items()}
-    columns = {**filled, **found}
-    check_arrays(columns, SPECS, where, optional=tuple(filled), only=True)
+    n = len(np.atleast_1d(found.get("T_obj_ee", ())))
+    columns = {**{k: np.full(n, v) for k, v in DEFAULTS.items()}, **found}
+    check_arrays(columns, SPECS, where, optional=tuple(DEFAULTS), only=True)
+    _check_values(columns, where)
+    return GraspSet(
+        columns["T_obj_ee"].astype(np.float32), columns["width"].astype(np.float32),
+        columns["score"].astype(np.float32), columns["part"].astype(np.int32), gripper,
+    )  # fmt: skip
+
+
+def _check_values(columns: Mapping[str, NDArray[Any]], where: str) -> None:
+    """Refuses numbers that no grasps have, in arrays of the right form."""
     T, width, part = columns["T_obj_ee"], columns["width"], columns["part"]
+    n = len(T)
     if not 1 <= n <= MAX_GRASPS:
         raise FileError(f"{where}: {n} grasps; 1 to {MAX_GRASPS} are allowed")
     if ((width < 0) | (width > WIDEST_M)).any():
@@ -95,7 +106,3 @@ def checked_grasps(found: Mapping[str, Any], where: str, gripper: str) -> GraspS
     check_poses(f"{where}: T_obj_ee", T)
     if part.min() < ANY_PART or part.max() > 255:
         raise FileError(f"{where}: part is an index into the object's parts, or -1")
-    return GraspSet(
-        T.astype(np.float32), width.astype(np.float32), columns["score"].astype(np.float32),
-        part.astype(np.int32), gripper,
-    )  # fmt: skip

@@ -14,7 +14,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
-from functools import cached_property, lru_cache
+from functools import cached_property, lru_cache, partial
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -440,16 +440,18 @@ def build_object(
         mesh, name=name, split=split, receiver=receiver, scale=scale, mass=mass, instruction=instruction,
         face_part=face_part, part_names=part_names, pieces=pieces,
     )  # fmt: skip
-    key = key_of(mesh, options)
-    # OpenBLAS' idle threads spin: a fifth of a build's CPU time
-    with threadpool_limits(1, user_api="blas"):
-        if key is None:
-            model = _built(mesh, **options)
-        else:
-            make = lambda: _as_arrays(_built(mesh, **options))  # noqa: E731
-            model = _from_arrays(kept_with_warnings(key, make, _from_arrays))
+    model = _kept_or_built(mesh, options)
     boxes = mesh_import.region_boxes(receiver, model.part_names, model.name)
     return model if boxes is None else _frozen(replace(model, receiver_boxes=boxes))
+
+
+def _kept_or_built(mesh: str | Path | trimesh.Trimesh, options: Mapping[str, Any]) -> ObjectModel:
+    """The object of all options of a build, from disk where its mesh is one file."""
+    key = key_of(mesh, options)
+    build = partial(_built, mesh, **options)
+    # OpenBLAS' idle threads spin: a fifth of a build's CPU time
+    with threadpool_limits(1, user_api="blas"):
+        return build() if key is None else kept_object(key, build)
 
 
 def _options(mesh: str | Path | trimesh.Trimesh, **given: Any) -> dict[str, Any]:

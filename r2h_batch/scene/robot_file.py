@@ -289,7 +289,9 @@ def read_robot(folder: str | Path) -> Robot:
         if name.startswith("T_"):
             check_poses(f"{where}: {name}", arrays[name].reshape(-1, 4, 4))
     try:
-        _check_lengths(file, lengths)
+        _check_lengths(file.arm, lengths["joints"])
+        if isinstance(file.gripper, Jaws):
+            _check_jaws(file.gripper, lengths["parts"])
         robot = _robot(file, {name: arrays[name] for name in specs})
         if robot.family != file.arm.family:
             ur_lengths(robot)  # says what is not a UR's
@@ -300,22 +302,23 @@ def read_robot(folder: str | Path) -> Robot:
     return robot
 
 
-def _check_lengths(file: RobotFile, lengths: dict[str, int]) -> None:
-    """Raises ValueError where lists are not as long as there are joints or parts."""
-    arm, joints = file.arm, lengths["joints"]
+def _check_lengths(arm: Arm, joints: int) -> None:
+    """Raises ValueError where lists are not as long as there are joints."""
     lists = {k: v for k, v in [*vars(arm).items(), *vars(arm.servo).items()] if isinstance(v, list)}
     for name, values in lists.items():
         wanted = joints + (name == "links")
         if len(values) != wanted:
             raise ValueError(f"{name} has {len(values)} entries; {joints} joints need {wanted}")
-    if isinstance(file.gripper, Jaws):
-        parts = file.gripper.parts
-        if len(parts) != lengths["parts"] or parts.count("pad") != 2:
-            raise ValueError(f"gripper.parts must name {lengths['parts']} parts, two of them pads")
-        if file.gripper.closed_gap_m >= file.gripper.open_gap_m:
-            raise ValueError("gripper.closed_gap_m must be below open_gap_m")
-        if 2 * file.gripper.jaw_mass_kg >= file.gripper.mass_kg:
-            raise ValueError("gripper.mass_kg must be above the mass of both jaws")
+
+
+def _check_jaws(gripper: Jaws, parts: int) -> None:
+    """Raises ValueError where a gripper's parts, gaps or masses are not those of two jaws."""
+    if len(gripper.parts) != parts or gripper.parts.count("pad") != 2:
+        raise ValueError(f"gripper.parts must name {parts} parts, two of them pads")
+    if gripper.closed_gap_m >= gripper.open_gap_m:
+        raise ValueError("gripper.closed_gap_m must be below open_gap_m")
+    if 2 * gripper.jaw_mass_kg >= gripper.mass_kg:
+        raise ValueError("gripper.mass_kg must be above the mass of both jaws")
 
 
 def _check_table(robot: Robot) -> None:

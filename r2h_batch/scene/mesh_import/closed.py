@@ -315,14 +315,27 @@ def _open_bodies(mesh: trimesh.Trimesh) -> NDArray[np.bool_]:
 
 
 def _oriented(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
-    """The mesh with neighbouring faces wound alike, each patch as most of its area was."""
-    import igl
+    """The mesh with neighbouring faces wound alike."""
+    if not _disagree(mesh):
+        return mesh
+    faces, turned = _wound_alike(mesh)
+    if turned.any():
+        done.append(f"turned {int(turned.sum())} faces to agree with their neighbours")
+    return trimesh.Trimesh(mesh.vertices, faces, process=False)
 
+
+def _disagree(mesh: trimesh.Trimesh) -> bool:
+    """Whether the two faces of some edge are wound against each other."""
     edge = edge_numbers(mesh)
     count = np.bincount(edge)
     passed = np.bincount(edge, np.where(mesh.edges[:, 0] < mesh.edges[:, 1], 1, -1))
-    if not ((count == 2) & (passed != 0)).any():
-        return mesh
+    return bool(((count == 2) & (passed != 0)).any())
+
+
+def _wound_alike(mesh: trimesh.Trimesh) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The faces (F, 3) wound alike, each patch as most of its area was, and which (F,) of them are turned."""
+    import igl
+
     before = np.ascontiguousarray(mesh.faces, np.int64)
     after, patch = igl.bfs_orient(before)
     turned = (after != before).any(axis=1)
@@ -331,9 +344,7 @@ def _oriented(mesh: trimesh.Trimesh, done: list[str]) -> trimesh.Trimesh:
     faces = np.where(most[patch][:, None], after[:, ::-1], after)
     turned ^= most[patch]
     faces[~turned] = before[~turned]
-    if turned.any():
-        done.append(f"turned {int(turned.sum())} faces to agree with their neighbours")
-    return trimesh.Trimesh(mesh.vertices, faces, process=False)
+    return faces, turned
 
 
 def _without_slivers(
