@@ -13,7 +13,7 @@ from r2h_batch.base.launch.repeated import RepeatedCalls
 from r2h_batch.config import EvalConfig
 from r2h_batch.judge.scores import scores_of
 from r2h_batch.types import Scores, Trials
-from r2h_batch.work import Stage, Work, asked
+from r2h_batch.work import Stage, Work
 
 POSE_CHUNK_CUDA = 1 << 16
 """Rows of one launch of the pose stage on CUDA, about 4 KB of working memory each."""
@@ -78,7 +78,7 @@ def judged(
 
 def scored(work: Work, stages: tuple[Stage, ...], calls: RepeatedCalls) -> Scores:
     """The scores of one chunk; a small one is recorded, and replayed where it comes back."""
-    trials, own = work.trials, asked(stages, work.scene.benchmark.asks)
+    trials, own = work.trials, work.own(stages)
     poses = work.T_obj_ee.contiguous(), work.T_world_ee.contiguous()
     if not all(stage.records for stage in own):
         found = work.of(*poses, trials._changed(Tensor.contiguous)).through(stages).fields

@@ -1,6 +1,7 @@
 """The judge on one page: the stages of a verdict, in their order.
 
-A stage is a function that reads `Work` and writes more of it, and an entry of the lists at the end of this page:
+A stage is a function that reads `Work` and writes more of it, and an entry of the lists at the end of this page, which says
+when there is such a stage:
 
 | list | judges | asked for by |
 |---|---|---|
@@ -148,13 +149,14 @@ def move(w: Work) -> None:
 
 
 def keep_clear(w: Work) -> None:
-    """Where the robot is nearest to the receiver on its way."""
+    """Where the robot is nearest to the receiver's hand on its way."""
     w.nearest = hand_distance(w.scene, w.held.body_poses, w.executed, w.held.active)
-    if w.trials.receiver is not None:
-        body_m, body, _ = over_motion(
-            w.scene, w.held.body_poses, w.executed, partial(_from_person, w)
-        )
-        w.person = body_m, body
+
+
+def keep_clear_of_body(w: Work) -> None:
+    """How near the robot comes to arm, torso and head on its way."""
+    body_m, body, _ = over_motion(w.scene, w.held.body_poses, w.executed, partial(_from_body, w))
+    w.person = body_m, body
 
 
 def follow(w: Work) -> None:
@@ -169,8 +171,6 @@ def follow(w: Work) -> None:
     w.executed, w.motion = executed_trace(w.trace, w.planned)
     w.moves = active & (w.planned.length > 0)  # before a plan beside it may fail
     w.nearest = hand_distance(scene, w.held.body_poses, w.executed, active)
-    if w.trials.receiver is not None:
-        w.person = _from_person(w, w.held.body_poses, w.executed.path, w.executed.length)
     if w.beside is not w.trace:
         free = plan_of_trace(scene, poses, w.beside, active)
         w.planned = worse_plan(free, w.planned, w.nearest.distance_m <= 0)
@@ -178,43 +178,50 @@ def follow(w: Work) -> None:
     w.clearance_m, w.reason, w.valid = w.planned.clearance_m, w.planned.reason, w.executed.valid
 
 
-def _from_person(
+def follow_by_body(w: Work) -> None:
+    """How near the robot comes to arm, torso and head on the caller's motion."""
+    w.person = _from_body(w, w.held.body_poses, w.executed.path, w.executed.length)
+
+
+def _from_body(
     w: Work, poses: BodyPoses, path: Tensor, length: Tensor, rows: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """How near the robot comes to arm, torso and head, and which of its bodies; `rows`: the trials of the paths, or all."""
-    assert w.trials.receiver is not None  # the stage has asked
+    assert w.trials.receiver is not None  # `has_body`
     receiver = w.trials.receiver if rows is None else w.trials.receiver[rows]
     return person_distance(w.scene, poses, receiver, path, length)
 
 
 def stand(w: Work) -> None:
-    """The goal posture in place of a path, and where the robot is nearest to the receiver there."""
+    """The goal posture in place of a path, and where the robot is nearest to the receiver's hand there."""
     held, (ik, usable) = w.held, branches(w)
     w.goal = judge_goals(
         w.scene, held.planner_poses, held.T_world_ee, ik, usable, held.active,
         from_home=w.picked is None,
     )  # fmt: skip
     w.nearest = hand_distance_at(w.scene, held.body_poses, w.goal.q, held.active)
-    if w.trials.receiver is not None:
-        w.person = person_distance_at(
-            w.scene, held.body_poses, w.trials.receiver, w.goal.q, held.active
-        )
     w.moves, w.clearance_m, w.reason = held.active, w.goal.clearance_m, w.goal.reason
 
 
+def stand_by_body(w: Work) -> None:
+    """How near the robot is to arm, torso and head at the goal posture."""
+    held, receiver = w.held, w.trials.receiver
+    assert receiver is not None  # `has_body`
+    w.person = person_distance_at(w.scene, held.body_poses, receiver, w.goal.q, held.active)
+
+
 def count_body(w: Work) -> None:
-    """Arm, torso and head of the receiver count as the hand does, where the benchmark has `receiver="body"`."""
-    if w.config.receiver == "body" and w.person is not None:
-        w.nearest = nearer_of(w.nearest, *w.person)
+    """Arm, torso and head of the receiver count as the hand does."""
+    assert w.person is not None  # `body_counts`
+    w.nearest = nearer_of(w.nearest, *w.person)
 
 
 def shake(w: Work) -> None:
-    """The grasps that hold by geometry, shaken in a simulator, with `stability="physics"`."""
-    if w.config.stability == "physics":
-        from r2h_batch.judge.grasp_physics import shake as slips
+    """The grasps that hold by geometry, shaken in a simulator."""
+    from r2h_batch.judge.grasp_physics import shake as slips
 
-        rows = w.held.active & (w.held.grasp.margin_m >= 0)
-        w.slip_m = slips(w.scene.objects, w.held.objects, w.held.attached, rows, w.scene.robot)
+    rows = w.held.active & (w.held.grasp.margin_m >= 0)
+    w.slip_m = slips(w.scene.objects, w.held.objects, w.held.attached, rows, w.scene.robot)
 
 
 def present(w: Work) -> None:
@@ -271,20 +278,47 @@ def receive(w: Work) -> None:
     w.scores = given(w.scores)  # type: ignore[arg-type]  # the benchmark asks
 
 
+def asks_pick(w: Work) -> bool:
+    """The objects rest on the table first."""
+    return "pick" in w.scene.benchmark.asks
+
+
+def asks_received(w: Work) -> bool:
+    """The person takes the object in the end."""
+    return "received" in w.scene.benchmark.asks
+
+
+def has_body(w: Work) -> bool:
+    """The receivers are persons, not hands alone."""
+    return w.trials.receiver is not None
+
+
+def body_counts(w: Work) -> bool:
+    """Planning and Safe see the person's arm, torso and head (`receiver="body"`)."""
+    return w.config.receiver == "body" and has_body(w)
+
+
+def is_shaken(w: Work) -> bool:
+    """Grasps have to hold in a simulator too (`stability="physics"`)."""
+    return w.config.stability == "physics"
+
+
 GRASP = Stage(grasp)
-JUDGE = (Stage(count_body), Stage(shake), Stage(present), Stage(criteria))
-PICK = Stage(pick, asks="pick", records=False)
-PICK_POSE = Stage(partial(pick, ways=False), asks="pick", rests=True)
+PICK = Stage(pick, asks_pick, records=False)
+PICK_POSE = Stage(partial(pick, ways=False), asks_pick, rests=True)
 PLAN, BELIEVE, MOVE = (Stage(run, records=False) for run in (plan, believe, move))
-FOLLOW, CLEAR = (Stage(run, records=False) for run in (follow, keep_clear))
-TELL = (Stage(tell_pick, asks="pick"), Stage(tell_nobody_takes, asks="received"))
+CLEAR = (Stage(keep_clear, records=False), Stage(keep_clear_of_body, has_body, records=False))
+FOLLOW = (Stage(follow, records=False), Stage(follow_by_body, has_body, records=False))
+STAND = (Stage(stand), Stage(stand_by_body, has_body))
+JUDGE = (Stage(count_body, body_counts), Stage(shake, is_shaken), Stage(present), Stage(criteria))
+TELL = (Stage(tell_pick, asks_pick), Stage(tell_nobody_takes, asks_received))
 TELL_MOTION = (*TELL, Stage(tell_motion, records=False))
 
-PLANNED = (GRASP, PICK, PLAN, MOVE, CLEAR, *JUDGE, *TELL_MOTION)
-BELIEVED = (GRASP, BELIEVE, MOVE, CLEAR, *JUDGE, *TELL_MOTION)
-POSE = (GRASP, PICK_POSE, Stage(stand), *JUDGE, *TELL, Stage(tell_posture))
-TRACE = (GRASP, PICK, FOLLOW, *JUDGE, *TELL_MOTION)
-LAST = (Stage(receive, asks="received"),)
+PLANNED = (GRASP, PICK, PLAN, MOVE, *CLEAR, *JUDGE, *TELL_MOTION)
+BELIEVED = (GRASP, BELIEVE, MOVE, *CLEAR, *JUDGE, *TELL_MOTION)
+POSE = (GRASP, PICK_POSE, *STAND, *JUDGE, *TELL, Stage(tell_posture))
+TRACE = (GRASP, PICK, *FOLLOW, *JUDGE, *TELL_MOTION)
+LAST = (Stage(receive, asks_received),)
 
 PICKS, BELIEVED_PICKS = (GRASP, PICK), (GRASP, BELIEVE)
 """How the arm picks, and nothing else."""

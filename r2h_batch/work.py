@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
@@ -93,9 +92,13 @@ class Work:
         }
         return replace(self, **own, **more)
 
+    def own(self, stages: "tuple[Stage, ...]") -> "list[Stage]":
+        """Those of these stages that this work has."""
+        return [stage for stage in stages if stage.when is None or stage.when(self)]
+
     def through(self, stages: "tuple[Stage, ...]") -> "Work":
-        """The same work after those of these stages that its benchmark asks for."""
-        for stage in asked(stages, self.scene.benchmark.asks):
+        """The same work after those of these stages that it has."""
+        for stage in self.own(stages):
             stage.run(self)
         return self
 
@@ -121,14 +124,7 @@ class Stage(NamedTuple):
     """A stage, and what else there is to know of it."""
 
     run: Callable[[Work], None]
-    asks: str = (
-        ""  # the criterion for which a benchmark has to ask; empty: every one has this stage
-    )
+    when: Callable[[Work], bool] | None = None
+    """whether a work has this stage, by what it is before any stage; None: every one"""
     records: bool = True  # it may be a part of a recorded call (`base.launch.repeated`)
     rests: bool = False  # it reads `Work.resting`, which a recorded call is given
-
-
-@lru_cache(maxsize=64)
-def asked(stages: tuple[Stage, ...], asks: tuple[str, ...]) -> tuple[Stage, ...]:
-    """The stages of a benchmark that asks for these criteria."""
-    return tuple(stage for stage in stages if not stage.asks or stage.asks in asks)
