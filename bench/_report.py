@@ -29,11 +29,9 @@ FIGURES_SINCE = (
 """(version, benches, reason): a person adds a line when a change moves figures of these benches ("*": of all). Figures of an
 earlier version may not stand on a page (tests/test_figures.py)."""
 
-EARLIER = frozenset({"learn", "sees"})
+EARLIER = frozenset({"sees"})
 """Benches of rates that were measured before subjects went from the package and files moved (CHANGELOG, Removed), and not since:
-three hours of them. bench/SOURCES.md names each with its commit. Since then the person of r2h-v2 has a head, which took at most
-2.0 points from a method in a split of Table I, and Received has the object in another place. Whoever measures one takes it
-out."""
+two hours of them. bench/SOURCES.md names each with its commit. Whoever measures one takes it out."""
 
 PACKAGES = (
     "warp-lang",
