@@ -13,6 +13,7 @@ from torch import Tensor
 from r2h_batch.base import se3
 from r2h_batch.base.launch import over_trials
 from r2h_batch.base.validate import one_of
+from r2h_batch.base.validate_tensors import check_tensor
 from r2h_batch.config import FARTHEST_M
 from r2h_batch.judge.attach import AttachedBatch
 from r2h_batch.kernels.judge import presented as kernels
@@ -79,6 +80,23 @@ def _points_of(scene: Scene, role: Role) -> tuple[Float32[Tensor, "o p 3"], Bool
     return torch.from_numpy(local).to(device), torch.from_numpy(np.stack(of_part)).to(device)
 
 
+def checked_points(point: object, n: int) -> Float32[Tensor, "b 3"]:
+    """A point for each of n trials, as float32.
+
+    Args:
+        point: what the caller gave.
+        n: number of trials.
+
+    Raises:
+        TypeError, ValueError: it is no tensor of real numbers, or has another shape: kernels would read other memory.
+    """
+    words = f"a torch tensor ({n}, 3), a point for each row"
+    found = check_tensor("point", point, words)
+    if found.shape != (n, 3) or not found.is_floating_point():
+        raise ValueError(f"point is {found.dtype} {tuple(found.shape)}; it must be {words}")
+    return found.float()
+
+
 def distance(
     scene: Scene, held: AttachedBatch, point: Float32[Tensor, "b 3"], to: str
 ) -> Float32[Tensor, " b"]:
@@ -91,9 +109,9 @@ def distance(
         to: of `MEASURED`.
 
     Returns:
-        (B,) m: 0 inside of gripper or object, inf where the object has no such part, NaN in rows that are not judged.
+        (B,) m: 0 inside of gripper or object, inf where the object has no such part, NaN in rows that are not judged and of
+        points that are NaN.
     """
-    one_of(*MEASURED)("to", to)
     regions, sharp, bodies = scene.regions, scene.sharp, held.body_poses
     made = over_trials(kernels.distance_of, len(point), scene.device, chunk=64)(
         cap=FARTHEST_M,
@@ -116,7 +134,9 @@ def distance(
         p_wrist_obj=bodies.p_wrist_obj,
         point=point.contiguous(),
     )
-    return made["distance"]
+    # no bound of the search leaves out NaN: it would be as far as the search looks
+    found: Tensor = torch.where(point.isnan().any(1), torch.nan, made["distance"])
+    return found
 
 
 def head_distance(

@@ -16,6 +16,7 @@ import torch
 from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
 from torch import Tensor
 
+from r2h_batch.base.validate import one_of
 from r2h_batch.config import CLEARANCE_CAP_M, EvalConfig
 from r2h_batch.judge import at_handover
 from r2h_batch.judge.attach import AttachedBatch
@@ -158,12 +159,17 @@ class Evidence:
         """How far points are from something, m.
 
         Args:
-            point: (B, 3) float32 in the world, m.
+            point: (B, 3) in the world, m: one for each row.
             to: `gripper`, `object`, `wanted`, `sharp` or `head`.
 
         Returns:
             (B,) 0 inside of gripper or object, negative inside of the head, inf where there is no such part.
+
+        Raises:
+            TypeError, ValueError: `point` or `to` is something else.
         """
+        one_of(*at_handover.MEASURED, "head")("to", to)
+        point = at_handover.checked_points(point, len(self.held.active))
         if to == "head":
             return at_handover.head_distance(self.head, point)
         return at_handover.distance(self.scene, self.held, point, to)
