@@ -351,10 +351,10 @@ def _passes(row: Mapping[str, Any], criterion: str, limits: Mapping[str, float])
         ball = "" if radius is None else f" (radius {1e3 * radius:.0f} mm)"
         return f"the object {by} nearer to the ball's middle{ball}"
     if criterion == "presented":
-        away = (
-            f", or {by_} farther away" if (by_ := NEARER.get(str(row.get("presented_by")))) else ""
-        )
-        return f"{wanted_words(row)} {by} nearer to the hand{away}"
+        first = NEARER.get(str(row.get("presented_by")))
+        if first is None:  # what is beside the palm is too near for the ball
+            return f"{wanted_words(row)} {by} nearer to the ball's middle"
+        return f"{wanted_words(row)} {by} nearer to the hand, or {first} farther away"
     if criterion == "affordance":
         return f"the fingers {by} farther from the receiver's part"
     if criterion == "safe":

@@ -44,7 +44,7 @@ def run(tmp_path_factory):
          f"a sharp part is {100 * PRESENTED_M['S1'] + 3:.1f} cm nearer to the palm than the receiver's part",
          "or a sharp part farther away"),
         (row("presented", -0.052, presented_margin_m=-0.052, presented_by="ball", split="S1"),
-         "the receiver's part is 5.2 cm outside the ball", "the receiver's part 52.0 mm nearer to the hand"),
+         "the receiver's part is 5.2 cm outside the ball", "the receiver's part 52.0 mm nearer to the ball's middle"),
         (row("affordance", -0.0031, margin_kind_affordance="bound"), "by at least 3.1 mm", "at least 3.1 mm farther"),
         (row("safe", -0.004, witness_safe_part="wrist_3_0", witness_time_s=3.21, witness_point_m=[0.1, 0.2, 0.3]),
          "wrist 3 meets the hand at 3.2 s", "the robot 4.0 mm farther from the hand then"),
