@@ -196,7 +196,7 @@ class Benchmark:
         Args:
             asks: what the benchmark asked for then; r2h_batch 0.3 knew a criterion more.
         """
-        head = ("head",) if self.receiver == "body" else ()
+        head = ("head",) if self._person_counts else ()
         found: dict[str, tuple[str, ...]] = {}
         then = replace(self.drawn_before(), head_clearance_m=0.0)
         if head:
@@ -275,6 +275,11 @@ class Benchmark:
         return self._digest_of(self._asks)
 
     @property
+    def _person_counts(self) -> bool:
+        """Whether verdicts depend on arm, torso and head: planning and Safe see them, or Received asks about them."""
+        return self.receiver == "body" or "received" in self.asks
+
+    @property
     def _asks(self) -> str:
         """What it asks for beside what all benchmarks ask, in the digest's words."""
         asks = f"asks {' '.join(self.asks)}\n" if self.asks else ""
@@ -290,8 +295,9 @@ class Benchmark:
         drawn = self.rule.draws_as if self.listed is None else LISTED
         digest = hashlib.sha256(f"{drawn}\n{self.hand_set.digest}\n".encode())
         if self.receiver != "hand":  # benchmarks without this field keep their digest
-            made_of = MADE_OF if person is None else person
-            digest.update(f"receiver {self.receiver}\n{made_of}".encode())
+            digest.update(f"receiver {self.receiver}\n".encode())
+        if self._person_counts:
+            digest.update((MADE_OF if person is None else person).encode())
         if self.head_clearance_m:
             digest.update(f"head_clearance_m {float(self.head_clearance_m)!r}\n".encode())
         digest.update(asks.encode())

@@ -82,10 +82,17 @@ def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeyp
         "940101feca37a37ffcc3e60468b04b7b2200d1726a77f65e91da0d871adc49b0"
     ]
     assert load_benchmark("r2h-v1").digests_before(()) == {}
+    v3 = replace(load_benchmark("r2h-v3"), receiver="hand", head_clearance_m=0.0)
+    # Received asks about the whole person, whatever planning sees
+    received, presented = v3.digest, v3.until("present").digest
+    assert all("head" in changed for changed in v3.digests_before(v3.asks).values())
+    assert v3.until("present").digests_before(()) == {}
     monkeypatch.setattr("r2h_batch.trials.benchmark.MADE_OF", "other pieces\n")
     for name, digest in each(digests.items()):
         other = replace(load_benchmark(name), name="other")
         assert (other.digest == digest) == (other.receiver == "hand"), name
+    v3 = replace(v3, name="other")
+    assert v3.digest != received and v3.until("present").digest == presented
 
 
 def test_the_name_that_r2h_v3_had_before_it_was_frozen_says_what_to_write(tmp_path, capsys):
