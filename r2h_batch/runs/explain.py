@@ -26,7 +26,7 @@ RECEIVES = {
     "arm": "no grasp is within the person's joints",
     "free": "the hand would meet the closed gripper",
     "way": "the hand's last 10 cm are blocked",
-    "clear": "the arm, the torso or the head would meet the robot",
+    "clear": "the arm, the torso or the head would meet the robot, or the head the object",
     "release": "the fingers could not open, or not back off",
     "hold": "the hand could not carry it",
     "whole_way": "the hand's way from where it waits is blocked",
@@ -37,7 +37,7 @@ LEFT_OUT = ("way", "release", "whole_way")
 """Of these the margin is the part of a way that is left."""
 ROOMS = {
     "hand": "between hand and gripper",
-    "body": "between the person's body and the robot",
+    "body": "between the person's body and the robot, or the head and the object",
     "reach": "of the arm's reach",
     "joints": "of the joints' ranges",
 }

@@ -61,6 +61,8 @@ def run(tmp_path_factory):
          "fails: the hand would meet the closed gripper, by at least 3.2 mm", "leaves the hand a grasp"),
         (row("received", -0.0231, received_reason="way"),
          "fails: the hand's last 10 cm are blocked: 23.1 mm are left", "leaves the hand a grasp"),
+        (row("received", -0.011, received_reason="clear", margin_kind_received="bound"),
+         "fails: the arm, the torso or the head would meet the robot, or the head the object", "leaves the hand a grasp"),
         (row("received", -np.inf, received_reason="hold", margin_kind_received="cap"),
          "fails: the hand could not carry it", "leaves the hand a grasp"),
     ],
@@ -104,7 +106,7 @@ def test_a_pick_with_less_room_than_a_calibration_errs_by_is_named():
     ("room", "words"),
     [
         ("hand", "between hand and gripper"),
-        ("body", "between the person's body and the robot"),
+        ("body", "between the person's body and the robot, or the head and the object"),
         ("reach", "of the arm's reach"),
         ("joints", "of the joints' ranges"),
     ],

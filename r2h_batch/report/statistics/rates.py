@@ -131,7 +131,8 @@ _OURS = (
         "body_met",
         Share(
             "Body met",
-            "Motions that meet the receiver's arm, torso or head (to 0.3.0: arm or torso; part of Safe with --receiver body).",
+            "Motions that meet the receiver's arm, torso or head, or come nearer to the head than the benchmark allows (to 0.3.0:"
+            " arm or torso; part of Safe with --receiver body).",
             ("body_m",),
             _body_met,
         ),
