@@ -327,6 +327,8 @@ class Benchmark:
         if self.listed is not None:
             for name in ("trial_id", "object_index", "hand_index", "T_world_hand"):
                 digest.update(getattr(self.listed, name).contiguous().numpy().tobytes())
+            if self.listed.receiver is not None and self._person_counts and person is None:
+                digest.update(self.listed.receiver.contiguous().numpy().tobytes())
         return digest.hexdigest()
 
     @suggest_names

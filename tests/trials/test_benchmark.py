@@ -95,6 +95,17 @@ def test_the_digest_has_what_a_person_is_made_of_where_the_person_counts(monkeyp
     assert v3.digest != received and v3.until("present").digest == presented
 
 
+def test_the_digest_has_where_listed_persons_stand_where_the_person_counts():
+    v1 = load_benchmark("r2h-v1")
+    trials = v1.trials(1)
+    receiver = trials.receiver.clone()
+    receiver[:, 3, 2] += 0.05  # the torso, and the head over it
+    for who in ("hand", "body"):
+        listed, higher = (replace(v1, listed=t, receiver=who) for t in (trials, replace(trials, receiver=receiver)))
+        assert (listed.digest == higher.digest) == (who == "hand")
+        assert listed.digests_before(()) == higher.digests_before(())  # r2h_batch 0.3 left them out
+
+
 def test_the_name_that_r2h_v3_had_before_it_was_frozen_says_what_to_write(tmp_path, capsys):
     with pytest.raises(FileError, match=r"^benchmark r2h-v3-draft: r2h_batch 0.3 had it, .*; write r2h-v3, which"):
         load_benchmark("r2h-v3-draft")
