@@ -77,6 +77,14 @@ def test_a_command_that_says_nothing_says_that_it_works(monkeypatch, capsys):
 
 
 @pytest.mark.alone
+def test_a_command_that_lasts_says_more_rarely_that_it_works(monkeypatch, capsys):
+    for name, seconds in (("SILENT_S", 0.05), ("SOON_S", 0.05), ("SOON_UNTIL_S", 0.3), ("EVERY_S", 60.0)):
+        monkeypatch.setattr(progress_file, name, seconds)
+    assert exit_code_of("film", lambda: time.sleep(1.5) or 0) == 0
+    assert 1 <= len(capsys.readouterr().err.splitlines()) <= 7  # the first 0.3 s have six; 1.5 s would have thirty
+
+
+@pytest.mark.alone
 def test_a_command_says_that_it_works_again_where_it_falls_silent_and_not_beside_what_is_counted(monkeypatch, capsys):
     for name in ("SILENT_S", "SOON_S"):
         monkeypatch.setattr(progress_file, name, 0.1)

@@ -136,8 +136,9 @@ def busy(name: str) -> Iterator[None]:
 
 @contextlib.contextmanager
 def not_silent(name: str) -> Iterator[None]:
-    """Says every few seconds that a command works, while nothing else is said: reading and drawing come before what
-    `progress` counts. Once, also while that counts: it may just have begun.
+    """Says now and then that a command works, while nothing else is said: reading and drawing come before what
+    `progress` counts. Once, also while that counts: it may just have begun. As rarely as `progress`, once it has lasted:
+    a minute on a busy machine must not fill the screen.
 
     Args:
         name: of the command.
@@ -148,9 +149,11 @@ def not_silent(name: str) -> Iterator[None]:
         counted: list[str] = []
         wait, before = SILENT_S, lines_said()
         while not ended.wait(wait):
+            lasted = time.perf_counter() - start
             if lines_said() == before and not _bars and not counted:
-                LOG.info(f"{name}: working, {time.perf_counter() - start:.0f} s")
-            wait, before, counted = SOON_S, lines_said(), _counted
+                LOG.info(f"{name}: working, {lasted:.0f} s")
+            wait = EVERY_S if lasted > SOON_UNTIL_S else SOON_S
+            before, counted = lines_said(), _counted
 
     speaker = threading.Thread(target=speak, name=f"{name} is not silent", daemon=True)
     speaker.start()
