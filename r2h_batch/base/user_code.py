@@ -12,10 +12,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass
 from importlib.machinery import PathFinder
 from pathlib import Path
-from types import ModuleType
+from types import FunctionType, ModuleType
 from typing import Any
 
-from r2h_batch.base.errors import FileError
+from r2h_batch.base.errors import FileError, nearest
 from r2h_batch.base.io.read import printable
 from r2h_batch.plugins import PackageError, PluginError, Registry
 from r2h_batch.strangers import __file__ as _GUARD
@@ -82,14 +82,35 @@ def load_function(spec: str, kind: str = "function") -> UserFunction:
             code.of = module.__name__
             # a module may have a function of its own that answers
             function: Any = getattr(module, name, _NOTHING)
-    except (ImportError, KeyboardInterrupt):
+            near = nearest(name, _callables(module)) if function is _NOTHING else ""
+    except KeyboardInterrupt:
         raise
     except BaseException as error:  # SystemExit too: it would end the command without a word
+        # one of ours, or of the module that was asked for; what that one imports in vain is told with its line
+        ours = isinstance(error, ImportError) and error.name in (None, *_with_parents(place))
+        if ours:
+            raise
         raise ImportError(raised(error)) from error
     _BROUGHT.setdefault(module.__name__, sys.modules.keys() - before.keys())
     if function is _NOTHING:
-        raise ImportError(f"{place} has no {kind.lower()} {name!r}")
+        raise ImportError(f"{place} has no {kind.lower()} {name!r}{near}")
     return UserFunction(function, module, spec)
+
+
+def _with_parents(module: str) -> Iterator[str]:
+    """`a.b.c`, `a.b`, `a`."""
+    while module:
+        yield module
+        module = module.rpartition(".")[0]
+
+
+def _callables(module: ModuleType) -> list[str]:
+    """Names of a module's functions and classes, its imports among them."""
+    return [
+        name
+        for name, value in vars(module).items()
+        if isinstance(name, str) and issubclass(type(value), FunctionType | type)
+    ]
 
 
 def text_of(error: BaseException) -> str:

@@ -457,8 +457,10 @@ def _method(argument: str, *, seeing: bool = False) -> _Method:
     except ImportError as error:
         if isinstance(error.__cause__, Ended):
             raise EndedError(f"--method {name}: {error}") from error
-        words = f"{' '.join(str(error).split())}; {form}"
-        raise UsageError(f"--method {name}: {words}") from error
+        words = " ".join(str(error).split())
+        # what the module itself raised, a syntax error for example, has nothing to do with how it is named
+        how = "" if error.__cause__ else f"; {form}"
+        raise UsageError(f"--method {name}: {words}{how}") from error
     function = found.function
     chosen = options_of(argument, function, known=built_in) if callable(function) else {}
     try:

@@ -657,6 +657,10 @@ GIVEN = (
 `--method contact,gate=ik`."""
 
 
+POSE_FILES = (".npz", ".csv", ".json", ".parquet")
+"""Endings of files that `--predictions` reads."""
+
+
 def check_method(name: str) -> None:
     """That a method is built in, somebody's own, or given by a package; `spelled_out` says where.
 
@@ -676,6 +680,11 @@ def check_method(name: str) -> None:
         raise
     except PluginError as error:
         raise UsageError(f"--method {name}: {error}") from error
+    suffix = Path(name).suffix.lower()
+    if suffix in POSE_FILES:
+        raise UsageError(f"--method {name}: a file of poses is given with --predictions {name}")
+    if suffix == ".py":
+        raise UsageError(f"--method {name}: name its function too, such as {name}:predict")
     allowed = f"allowed are {', '.join(known)} or your own {HOW}"
     raise UsageError(f"unknown method {name!r}{nearest(name, known)}; {allowed}")
 

@@ -215,6 +215,30 @@ def test_a_method_that_is_none_is_refused_before_any_preparation(fake, monkeypat
     assert words in error and error.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("def predcit(trials, scene): ...\n", "FILE has no function 'predict', did you mean predcit?; it must be"),
+        (
+            "print 'hello'\n",
+            "SyntaxError: Missing parentheses in call to 'print'. Did you mean print(...)? (FILE, line 1)",
+        ),
+        ("import torch\nimport no_such\n", "ModuleNotFoundError: No module named 'no_such' (FILE, line 2)"),
+    ],
+)
+def test_what_a_module_raises_is_told_with_its_line_and_a_misspelt_function_with_the_nearest(
+    fake, tmp_path, capsys, text, said
+):
+    file = tmp_path / "near_rules.py"
+    file.write_text(text)
+    assert sweep.main(["--method", f"{file}:predict", "--trials", "3", "--out", str(tmp_path / "run")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    shown = line.replace(str(file), "FILE").replace(f"({file.name},", "(FILE,")
+    assert said in shown
+    # how a method is named is no help where it was found, and raised an error
+    assert ("it must be package.module:function" in line) == ("has no function" in said)
+
+
 # --- stored rows and the plan ---------------------------------------------------------------------------------------
 
 

@@ -26,6 +26,8 @@ from r2h_batch.trials.predictions import write_predictions
             "--method randm",
             ["unknown method 'randm'", "did you mean random?", "random, oracle", "package.module:function"],
         ),
+        ("--method mine.npz", ["--method mine.npz: a file of poses is given with --predictions mine.npz"]),
+        ("--method mine=rules/mine.py", ["name its function too, such as rules/mine.py:predict"]),
         ("--method random --splits S2", ["S2", "--splits is 'S2'; allowed are S0, S1"]),
         ("--method random --trials 0", ["--trials is 0", "1 or more"]),
         ("--method random --device gpu", ["'gpu'", "cpu, cuda"]),
