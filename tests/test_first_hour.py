@@ -118,6 +118,15 @@ def test_the_sweeps_table_has_a_column_where_rows_could_not_be_judged(tmp_path):
         assert ("invalid" in brief(table_of(run)).split("\n")[0]) == (name == "bad")
 
 
+def test_a_misspelt_method_is_looked_for_in_all_runs_of_a_comparison(tmp_path, capsys):
+    for name, method in (("mine", "a"), ("other", "contact")):
+        write_run(tmp_path / name, {method: np.zeros(4, int)}, 2, 2)
+    folders = [str(tmp_path / "mine"), str(tmp_path / "other")]
+    assert main(["compare", *folders, "--method", "a", "contcat"]) == 2
+    said = capsys.readouterr().err
+    assert said == ("compare: no run has a method 'contcat', did you mean contact?; they have a, contact\n")
+
+
 METHOD = """
 def poses(trials, scene):
     from r2h_batch.methods import random

@@ -150,5 +150,10 @@ def _chosen(runs: "list[Run]", words: Sequence[str]) -> "list[Run]":
         kept += [stored.only(names)] if names else []
     for word in words:
         if word not in known:
-            runs[0].named(word)
+            if len(runs) == 1:
+                runs[0].named(word)
+            names = [name for run in runs for name in run.methods]
+            near = nearest(word, [w for run in runs for w in run.words]) or nearest(word, names)
+            have = ", ".join(dict.fromkeys(names)) or "none"
+            raise RunError(f"no run has a method {word!r}{near}; they have {have}")
     return kept

@@ -96,10 +96,7 @@ FEW_NOTE = (
 )
 
 
-INVALID_NOTE = (
-    "invalid: trials that could not be judged, most often since a matrix is no pose; they count as failures. r2h-batch why RUN"
-    " TRIAL says which matrix, and what would make it right."
-)
+INVALID_NOTE = "invalid: count as failures; most often a matrix is no pose: r2h-batch why RUN TRIAL says which."
 
 PRESENTED_NOTES = {
     PRESENTED: "Presented (information only, no part of SR): percent of the successes in which the wanted part (S0: the object)"

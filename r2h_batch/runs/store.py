@@ -335,10 +335,14 @@ class Run:
             words = f"{word!r} answered several times: {', '.join(found)}; give one of these names"
             raise RunError(f"{self.folder}: {words}")
         has = ", ".join(names) or "none"
-        functions = [str(e.source.get("function", "")).partition(":")[0] for e in self.entries]
-        short = [f.rpartition(".")[2].replace("_", "-") for f in functions if f]
-        near = nearest(word, short) or nearest(word, names)
+        near = nearest(word, self.words) or nearest(word, names)
         raise RunError(f"{self.folder}: no method {word!r}{near}; it has {has}")
+
+    @property
+    def words(self) -> list[str]:
+        """The sweep's words of the methods that are functions (fc)."""
+        functions = [str(e.source.get("function", "")).partition(":")[0] for e in self.entries]
+        return [f.rpartition(".")[2].replace("_", "-") for f in functions if f]
 
     def only(self, words: Sequence[str]) -> "Run":
         """The same run with these methods alone, in stored order.

@@ -230,7 +230,7 @@ def brief(
     )
     kind = "categories" if whole.new == "categories" else "objects"
     words = few_notes(
-        f"95 %, p new: the mean of all {kind} (p: Holm corrected). better, worse: p new < {ALPHA}.",
+        f"95 %, p new: all {kind} (Holm corrected). better: p new < {ALPHA}; better here: these objects.",
         [*_crowded(whole.pairs), *notes],
         f"{rest}each split, ranks, shares, p here: {more}",
     )

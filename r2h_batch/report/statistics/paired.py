@@ -265,7 +265,9 @@ def pair_up(
         streams += [_Stream(run, method, common.trials, place) for method in run.methods]
     if len(streams) < 2:
         only = ", ".join(s.method for s in streams) or "none"
-        raise ValueError(f"one method ({only}) is nothing to compare; give a second run")
+        raise ValueError(
+            f"one method ({only}) is nothing to compare; give a second run, or baselines"
+        )
     paired = _counted(streams)
     once = _once(streams, paired)
     if len(once) < 2:
