@@ -261,6 +261,8 @@ def differing(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
             if isinstance(x, Mapping) and isinstance(y, Mapping):
                 inner = sorted(k for k in {**x, **y} if x.get(k) != y.get(k))
                 inner = [_code_of(old, new) if k == "code" else k for k in inner]
+            elif isinstance(x, int) and isinstance(y, int):
+                inner = [f"{x}, now {y}"]
             names.append(f"{key} ({', '.join(inner)})" if inner else key)
     return names + other_plugins(old, new)
 
