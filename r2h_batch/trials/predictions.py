@@ -58,7 +58,7 @@ _SPECS: dict[str, Spec] = {
 }  # fmt: skip
 _CSV = {
     "trial_id": ("int64", 1), **dict.fromkeys(_POSES, ("float64", 16)), "t_method_s": ("float64", 1),
-    **dict.fromkeys(ALLOWED, ("string", 1)),
+    **dict.fromkeys(("benchmark", "reads", *ALLOWED), ("string", 1)),
 }  # fmt: skip
 _CSV_QUATERNIONS = {**_CSV, **dict.fromkeys(_POSES, ("float64", 7))}
 _MOTION_KEYS = ("q", "time_s", "length")
@@ -216,7 +216,7 @@ def load_answers(path: str | Path) -> Answers:
         arrays, method = _arrays(path, suffix)
         shown = printable(path)
         declared = taken(arrays, shown)
-        benchmark = _one_text(arrays.pop("benchmark", np.array("")), "benchmark", shown)
+        benchmark = _same_text(arrays, "benchmark", shown)
         reads = _reads(arrays, shown)
         ids = None
         if "id" in arrays:
@@ -363,10 +363,15 @@ def _one_text(value: Any, name: str, shown: str) -> str:
     return str(value.item())
 
 
+def _same_text(arrays: dict[str, Any], name: str, shown: str) -> str:
+    """A text that a file declares, which its arrays lose: alone or, in tables, the same in every row. Empty where it does
+    not."""
+    return _one_text(np.unique(arrays.pop(name, np.array(""))), name, shown)
+
+
 def _reads(arrays: dict[str, Any], shown: str) -> str:
-    """What the method of a file read, as it says; it may be the same text in every row."""
-    given = np.unique(arrays.pop("reads", np.array("")))
-    word = _one_text(given, "reads", shown)
+    """What the method of a file read, as it says."""
+    word = _same_text(arrays, "reads", shown)
     if word and word not in READS:
         raise FileError(
             f"{shown}: reads is {printable(word)[:40]!r}{nearest(word, list(READS))}; allowed are {', '.join(READS)}"
@@ -378,7 +383,7 @@ def _parquet(path: Path) -> dict[str, Any]:
     """Motions, one a row: trial_id or id, T_obj_ee (16 numbers), q (lists of joint angles), time_s (a list)."""
     from r2h_batch.base.io.parquet import read_parquet_arrays  # 0.1 s, for few files
 
-    texts = ["id", "reads", *DECLARED]
+    texts = ["id", "benchmark", "reads", *DECLARED]
     arrays, counts = read_parquet_arrays(path, most=MAX_BYTES, rows=10_000_000, text=texts)
     if "joint_names" in counts:
         arrays["joint_names"] = _of_rows(arrays["joint_names"], counts["joint_names"], path)
@@ -459,6 +464,11 @@ def check_benchmark(answers: Answers, benchmark: str, source: str) -> None:
     (name, _, digest), (ours, _, own) = (
         text.rpartition("@") for text in (answers.benchmark, benchmark)
     )
+    if answers.benchmark and not name:
+        raise FileError(
+            f"{source}: its benchmark is {printable(answers.benchmark)[:80]!r}, which is no name@digest; write that of"
+            f" the trials that it answers, load_benchmark(...).trials(...).benchmark: here it is {benchmark!r}"
+        )
     if answers.benchmark and digest != own:
         found = f"answers trials of benchmark {printable(name)[:80]} ({printable(digest)[:8]})"
         raise FileError(

@@ -265,6 +265,8 @@ def test_answers_to_an_edited_benchmark_of_the_same_name_are_refused_and_to_a_re
     poses = Predictions(trials.trial_id, eye(2), eye(2), method="mine")
     with pytest.raises(FileError, match=r"file: answers trials of benchmark r2h-v1 \(\w{8}\), and r2h-v1 "):
         check_benchmark(Answers(poses, benchmark=trials.benchmark), v1.label, "file")
+    with pytest.raises(FileError, match=rf"file: its benchmark is 'r2h-v1', which is no name@digest; .* '{v1.label}'"):
+        check_benchmark(Answers(poses, benchmark="r2h-v1"), v1.label, "file")
     renamed = replace(v1, name="mine")
     check_benchmark(Answers(poses, benchmark=renamed.label), v1.label, "file")
     judge = default_evaluator()

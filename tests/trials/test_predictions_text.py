@@ -8,7 +8,7 @@ import pytest
 import torch
 from prediction_files import arrays, refused
 
-from r2h_batch.trials.predictions import load_predictions
+from r2h_batch.trials.predictions import load_answers, load_predictions
 
 GOOD = {name: array.tolist() for name, array in arrays(3).items()}
 
@@ -41,6 +41,15 @@ def test_csv_gives_the_same_bits_as_a_binary_file(tmp_path):
     assert found.method == "p" and found.t_method_s.isnan().tolist() == [False, True, False, False]
     for name in ("trial_id", "T_obj_ee", "T_world_ee"):
         assert torch.equal(getattr(found, name), getattr(wanted, name))
+
+
+def test_csv_says_in_a_column_what_it_answers_and_what_its_method_reads(tmp_path):
+    said = {"benchmark": ["r2h-v2@12"] * 2, "reads": ["cloud"] * 2}
+    (tmp_path / "p.csv").write_text(as_csv(arrays(2), **said))
+    answers = load_answers(tmp_path / "p.csv")
+    assert (answers.benchmark, answers.reads) == ("r2h-v2@12", "cloud")
+    (tmp_path / "p.csv").write_text(as_csv(arrays(2), benchmark=["r2h-v2@12", "r2h-v3@34"]))
+    refused(tmp_path / "p.csv", "'benchmark' is <U9 (2,); it must be one string")
 
 
 @pytest.mark.parametrize(
