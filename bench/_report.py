@@ -29,10 +29,6 @@ FIGURES_SINCE = (
 """(version, benches, reason): a person adds a line when a change moves figures of these benches ("*": of all). Figures of an
 earlier version may not stand on a page (tests/test_figures.py)."""
 
-EARLIER = frozenset({"sees"})
-"""Benches of rates that were measured before subjects went from the package and files moved (CHANGELOG, Removed), and not since:
-two hours of them. bench/SOURCES.md names each with its commit. Whoever measures one takes it out."""
-
 PACKAGES = (
     "warp-lang",
     "torch",

@@ -29,7 +29,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from _report import EARLIER, FIGURES_SINCE, markdown_table
+from _report import FIGURES_SINCE, markdown_table
 from _source import ROOT, digests
 
 STORED = ROOT / "bench" / "results"
@@ -186,8 +186,6 @@ def listing(measured: Mapping[str, Measured]) -> str:
     for name, one in measured.items():
         if missing := one.lacks():
             state = f"without {', '.join(missing)}: measure again"
-        elif one.name in EARLIER:
-            state = "of earlier code: bench/SOURCES.md"
         elif why := one.outdated():
             state = f"out of date: {why}"
         elif files := one.changed():

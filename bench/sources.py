@@ -7,7 +7,7 @@ called where `make bench` does not say it, stands here.
 from pathlib import Path
 from typing import Any
 
-from _report import EARLIER, ROOT, markdown_table
+from _report import ROOT, markdown_table
 
 HERE = "bench/SOURCES.md"
 ROWS = {
@@ -66,7 +66,7 @@ def shown(_: object) -> dict[str, str]:
     benches = []
     for name, own in sorted(of_bench.items()):
         command = f"`{COMMANDS.get(name, f'bench/{name}.py')}`"
-        commit = measured[name].data["commit"][:12] + (" *" if name in EARLIER else "")
+        commit = measured[name].data["commit"][:12]
         benches.append([name, links(name, own), command, ROWS.get(name, ""), commit])
     return {
         "tables": markdown_table(["table", "rows", "flags", "number", "commit"], folders(PUBLISHED), left=True),

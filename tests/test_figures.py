@@ -93,16 +93,8 @@ def test_every_json_that_a_page_cites_is_here_and_every_json_is_cited(figures, m
 
 
 def test_no_page_shows_figures_of_other_code(figures, measured):
-    own = {n: m for n, m in measured.items() if n not in OF_OTHERS | figures.EARLIER}
+    own = {n: m for n, m in measured.items() if n not in OF_OTHERS}
     assert {n: why for n, m in own.items() if (why := m.outdated())} == {}, "measure again: make bench"
-
-
-def test_figures_of_earlier_code_are_named_with_their_commit_until_they_are_measured_again(figures, measured):
-    sources = (ROOT / "bench/SOURCES.md").read_text("utf-8")
-    for name in each(sorted(figures.EARLIER)):
-        assert measured[name].outdated(), f"{name} was measured again: take it out of EARLIER in bench/_report.py"
-        (row,) = [line for line in sources.splitlines() if line.startswith(f"| {name} |")]
-        assert row.endswith(f"| {measured[name].data['commit'][:12]} * |")
 
 
 @pytest.mark.parametrize("name", sorted(OF_OTHERS))
