@@ -103,7 +103,7 @@ BENCHES := rating adversary generators throughput training_loop gradients collis
 BENCH_RUNS := runs/bench-$(shell git rev-parse --short HEAD 2>/dev/null)
 bench: $(VENV)/.installed-test  ## every figure of the pages, measured in one go, and the pages written anew (RELEASE=checkout of the authors' release, VENDORS=folder of robots, SCANNED=folder, SCANS=folder of meshes, ARMS=folder for packages)
 	set -e; for b in $(BENCHES); do $(BIN)/python bench/$$b.py --json bench/results/$$b.json; done
-	$(BIN)/python bench/soak.py long --json bench/results/long.json
+	$(BIN)/python bench/soak.py --json bench/results/long.json
 	$(BIN)/python bench/closed_loop.py --growth 2000
 	set -e; for b in closed_loop reception people sees r2h_v3; do $(BIN)/python bench/$$b.py; done
 	set -e; for b in robots robustness; do $(BIN)/python bench/$$b.py --out $(BENCH_RUNS)/$$b; done

@@ -3,7 +3,6 @@
 `python bench/growth.py --json FILE`. Rows are synthetic, half of them of each of two methods, and go
 through the real writer. Margins and times have full float32 mantissas and compress no better than real ones. Each step is a
 process of its own, so that its peak memory is its own.
-`--sequences 1335`: instead, the import of a data set of GRAB's size: 1.62 million frames of two hands.
 """
 
 import argparse
@@ -13,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 import time
-from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -29,10 +27,6 @@ from r2h_batch.verdicts import CRITERIA, SIDES, SPLITS, CollidingPair, Nearer, P
 
 MEASURES = ("bench/growth.py", "r2h_batch/runs", "r2h_batch/report", "r2h_batch/sweep/results", "r2h_batch/base/io")
 METHODS = ("synthetic", "other")
-LINEAR = 1.3
-"""A step may take so many times its share of the smaller size's time: a busy machine, not another order of growth."""
-
-
 OBJECTS = [f"object_{i:02d}" for i in range(16)]
 BLOCK = 256  # trials that share one amortised time
 
@@ -168,35 +162,6 @@ def command(*words: str) -> dict[str, float]:
 STEPS = {f.__name__: f for f in (write, resume, verify, report, compare)}
 
 
-GRAB_FRAMES, GRAB_SEQUENCES = 1_622_459, 1335
-"""Taheri et al. 2020."""
-
-
-def import_grab(sequences: int) -> dict[str, float]:
-    """Seconds and peak memory of `import hands` over so many sequences in GRAB's layout, of GRAB's mean length, with MANO,
-    SMPL-X and the subject's meshes; all sequences are links to one file."""
-    sys.path.insert(0, str(ROOT / "tests" / "support"))
-    support: list[Any] = [import_module(name) for name in ("hand_data", "mano_files", "smplx_files")]
-    hand_data, mano, smplx = support
-    hand_data.FRAMES = GRAB_FRAMES // GRAB_SEQUENCES
-    with tempfile.TemporaryDirectory() as temporary:
-        first = hand_data.write_grab(Path(temporary), subjects=True)
-        for i in range(1, sequences):
-            name = (
-                first.with_name(f"mug_pass_{i // 10 + 2}.npz").parents[1]
-                / f"s{i % 10 + 1}"
-                / f"mug_pass_{i // 10 + 2}.npz"
-            )
-            name.parent.mkdir(exist_ok=True)
-            name.hardlink_to(first)
-        line = ["--smplx", f"{temporary}/smplx", "--out", f"{temporary}/hands.npz"]
-        smplx.write_smplx(Path(temporary) / "smplx")
-        for side, word in enumerate(("right", "left")):
-            file = Path(temporary) / f"MANO_{word.upper()}.pkl"
-            line += [f"--mano-{word}", str(mano.write_mano(file, mano.mano_dictionary(side)))]
-        return command("import", "hands", temporary, "--from", "grab", *line)
-
-
 def peak(report_: Report, trials: int, step: str) -> float:
     """Peak memory of a step, GB."""
     return float(report_.values[f"growth.{trials}.{step}_peak_mib"]) * 2**20 / 1e9
@@ -204,10 +169,6 @@ def peak(report_: Report, trials: int, step: str) -> float:
 
 def run(given: argparse.Namespace, report_: Report) -> None:
     """Measures all of it."""
-    if given.sequences:
-        for name, value in import_grab(given.sequences).items():
-            report_.add(f"growth.import_{given.sequences}_sequences_{name}", value)
-        return
     if given.step:
         figures = STEPS[given.step](given.folder, given.trials[0], given.shard_trials)
         own = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
@@ -226,11 +187,7 @@ def run(given: argparse.Namespace, report_: Report) -> None:
                     seconds[trials, step] = value if name == "seconds" else seconds.get((trials, step), 0.0)
     first, last = given.trials[0], given.trials[-1]
     if last > first:
-        for step in STEPS:
-            share = seconds[last, step] / seconds[first, step] / (last / first)
-            report_.add(f"growth.{step}_times_its_share", share)
-            report_.add(f"growth.{step}_linear", share <= LINEAR)
-        times = [last / first * float(report_.values[f"growth.{step}_times_its_share"]) for step in STEPS]
+        times = [seconds[last, step] / seconds[first, step] for step in STEPS]
         report_.add("growth.sizes_apart", last / first)
         report_.add("growth.least_times_longer", min(times))
         report_.add("growth.most_times_longer", max(times))
@@ -251,7 +208,6 @@ BENCH = Bench(
         "--shard-trials": {"default": 100_000},
         "--folder": {"type": Path, "help": "where the run folders are made (default: a temporary folder)"},
         "--step": {"choices": STEPS, "help": "run one step only and print its figures as JSON"},
-        "--sequences": {"type": int, "help": "measure an import of so many sequences only"},
     },
     peer="the smaller size's time",
 )

@@ -1,15 +1,12 @@
-"""Large numbers of trials and calls, with and without kills: rows, memory and time stay what they were.
+"""A large number of trials, with and without kills: rows, memory and time stay what they were.
 
-`python bench/soak.py array --json bench/results/job_array.json`: a job array, whose jobs are killed and start again.
-`python bench/soak.py long --json bench/results/long.json`: many trials in one process, then a tenth again with kills,
-flipped bits and full disks between.
-`python bench/soak.py calls --json bench/results/calls.json`: 100,000 calls of one row of each kind, a process for each.
+`python bench/soak.py --json bench/results/long.json`: many trials in one process, then a tenth again with kills, flipped bits
+and full disks between.
 
 The sweeps use the real evaluator with `--execute.sim none`. Rows are compared by the run's digest.
 """
 
 import argparse
-import multiprocessing
 import random
 import resource
 import signal
@@ -17,17 +14,12 @@ import subprocess
 import sys
 import tempfile
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 from _report import ROOT, Report, resident_mib
 from run import Bench
 
-from r2h_batch import load_benchmark
-from r2h_batch.config import EvalConfig, ExecConfig
-from r2h_batch.evaluate import Evaluator
-from r2h_batch.methods import random as random_method
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.results.command import verify
 
@@ -46,11 +38,6 @@ MEASURES = (
 )
 FULL_BYTES = 4096
 """Bytes that a process may still write to a file when its disk is full: a limit on file sizes, as quotas are."""
-
-COUNTS = (500, 10_000, 50_000, 100_000)
-"""Calls after which memory is read."""
-
-KINDS = ("pose", "all", "gradient")
 
 
 def sweep(out: Path, given: argparse.Namespace, part: str = "1/1", *more: str) -> subprocess.Popen[str]:
@@ -97,34 +84,6 @@ def compare(report: Report, name: str, plain: Path, fire: Path) -> None:
     report.add(f"{name}.digest_equal", same := bool(shards) and digest(plain, shards) == digest(fire, shards))
     report.add(f"{name}.verified", verify(fire) == 0)
     assert same, "the disturbed run has other rows"
-
-
-def array(given: argparse.Namespace, base: Path, report: Report, dice: random.Random) -> None:
-    """Sweep a folder as so many jobs at once, each killed and started again at random."""
-    plain, fire, start = base / "undisturbed", base / "disturbed", time.perf_counter()
-    ended(sweep(plain, given))
-    report.add("soak.trials", 2 * given.trials)
-    report.add("soak.undisturbed_s", time.perf_counter() - start)
-    report.add("soak.parts", given.parts)
-    parts = [f"{i + 1}/{given.parts}" for i in range(given.parts)]
-    jobs, kills = {p: sweep(fire, given, p) for p in parts}, 0
-    while jobs:
-        time.sleep(dice.uniform(0, 2 * given.kill_every))
-        part = dice.choice(sorted(jobs))
-        if kills < given.kills and jobs[part].poll() is None:
-            jobs[part].send_signal(signal.SIGKILL)
-            kills += 1
-        for part, job in list(jobs.items()):
-            if job.poll() is None:
-                continue
-            text, _ = job.communicate()
-            if job.returncode == -signal.SIGKILL:
-                jobs[part] = sweep(fire, given, part)
-                continue
-            assert job.returncode == 0, text[-2000:]
-            del jobs[part]
-    report.add("soak.kills", kills)
-    compare(report, "soak", plain, fire)
 
 
 def long(given: argparse.Namespace, base: Path, report: Report, dice: random.Random) -> None:
@@ -192,44 +151,10 @@ def disturb(process: subprocess.Popen[str], how: str, out: Path, dice: random.Ra
         path.write_bytes(data)
 
 
-def calls(given: argparse.Namespace, report: Report) -> None:
-    """Calls of one row; memory after so many."""
-    for kind in given.kinds:
-        # a process of its own: what one kind has taken would hide what the next one takes
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as pool:
-            for name, value in pool.submit(memory_of_calls, kind, given.calls).result().items():
-                report.add(f"calls.{kind}.{name}", value)
-        report.write(given.json)
-
-
-def memory_of_calls(kind: str, calls: int) -> dict[str, float]:
-    """Resident memory in MiB after each of `COUNTS` calls, and milliseconds a call."""
-    judge = Evaluator(load_benchmark(), EvalConfig(execute=ExecConfig(sim="none")), threads=1)
-    trials = load_benchmark().trials(50)
-    answer = random_method.predict(trials, judge.scene, seed=0)
-    moved = answer.T_world_ee.clone().requires_grad_(kind == "gradient")
-    seen, start = {}, time.perf_counter()
-    for i in range(calls):
-        row = slice(i % len(trials), i % len(trials) + 1)
-        scores = judge.score(answer.T_obj_ee[row], moved[row], trials[row], "all" if kind == "all" else "pose")
-        if kind == "gradient":
-            moved.grad = None
-            scores.margin.nan_to_num(0.0, 0.0, 0.0).sum().backward()
-        if i + 1 in COUNTS:
-            seen[f"memory_mib_after_{i + 1}"] = resident_mib()
-    return {**seen, "ms_per_call": 1e3 * (time.perf_counter() - start) / calls}
-
-
 def run(given: argparse.Namespace, report: Report) -> None:
     """Measures all of it."""
-    given.trials = given.trials or (50_000 if given.mode == "array" else 20_000)
-    given.shard_trials = given.shard_trials or 1000
-    if given.mode == "calls":
-        calls(given, report)
-    else:
-        with tempfile.TemporaryDirectory() as temporary:
-            run = array if given.mode == "array" else long
-            run(given, given.folder or Path(temporary), report, random.Random(given.seed))
+    with tempfile.TemporaryDirectory() as temporary:
+        long(given, given.folder or Path(temporary), report, random.Random(given.seed))
 
 
 BENCH = Bench(
@@ -237,17 +162,12 @@ BENCH = Bench(
     run,
     MEASURES,
     {
-        "mode": {"choices": ("array", "long", "calls")},
-        "--trials": {"type": int, "help": "of each of two splits; array: 50,000, long: 20,000"},
-        "--shard-trials": {"type": int, "help": "array: 1000, long: 1000"},
+        "--trials": {"default": 20_000, "help": "of each of two splits"},
+        "--shard-trials": {"default": 1000},
         "--kill-every": {"default": 3.0, "help": "seconds between kills, on average"},
         "--seed": {"default": 0, "help": "of the kills"},
         "--folder": {"type": Path, "help": "keep both run folders here"},
-        "--parts": {"default": 4, "help": "array: jobs, all at once"},
-        "--kills": {"default": 30, "help": "array: of jobs"},
-        "--limit-s": {"type": float, "default": float("inf"), "help": "long: end the undisturbed run then"},
-        "--kinds": {"nargs": "+", "choices": KINDS, "default": KINDS, "help": "calls: what they ask for"},
-        "--calls": {"type": int, "default": COUNTS[-1], "help": "calls: of each kind"},
+        "--limit-s": {"default": float("inf"), "help": "end the undisturbed run then"},
     },
     peer="an undisturbed run",
 )

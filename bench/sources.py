@@ -24,7 +24,7 @@ ROWS = {
 COMMANDS = {
     "closed_loop_growth": "bench/closed_loop.py --growth 2000",
     "families": "bench/families.py --rows FOLDER",
-    "long": "bench/soak.py long",
+    "long": "bench/soak.py",
     "r2h_v3": "bench/r2h_v3.py --trials 500 --seen-trials 500 --checked 30 --rows",
     "scanned": "bench/scans.py FOLDER --about bench/scanned.toml",
     "scans": "bench/scans.py FOLDER --about bench/scans.toml",
