@@ -5,11 +5,8 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests" / "support"))
 
-import grasp_cases
 import oracle
-from convex_twin import winding_number
 from judge_twin import Again, AgainBelieved, Finding
-from oracle import MujocoScene, Staged
 from people_twin import episode_of, reception_of
 from pick_twin import PickTwin
 from planning_twins import Checker, checker_of, dense, let_collide, motion_samples, ompl_solve, recheck, staged
@@ -17,7 +14,7 @@ from presented_twin import again as presented_again
 from problems import Batch, Problems, make_batch, solve
 
 __all__ = [
-    "Again", "AgainBelieved", "Batch", "Checker", "Finding", "MujocoScene", "PickTwin", "Problems", "Staged",
-    "checker_of", "dense", "episode_of", "grasp_cases", "let_collide", "make_batch", "motion_samples", "ompl_solve",
-    "oracle", "presented_again", "reception_of", "recheck", "solve", "staged", "winding_number",
+    "Again", "AgainBelieved", "Batch", "Checker", "Finding", "PickTwin", "Problems",
+    "checker_of", "dense", "episode_of", "let_collide", "make_batch", "motion_samples", "ompl_solve",
+    "oracle", "presented_again", "reception_of", "recheck", "solve", "staged",
 ]  # fmt: skip

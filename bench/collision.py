@@ -5,8 +5,7 @@ python bench/collision.py [--trials N] [--per-trial M] [--json FILE]
 Trials of r2h-v0 with their object in the gripper (tests/support/problems.py: half random, half sensible predictions). Half of the
 configurations of a trial are uniform in the box that the planner samples (home +- pi), half lie within 0.2 rad of
 straight lines from home to the IK solutions of the handover pose. Every engine does forward kinematics and checks the same
-pairs: robot against hand pieces, table and itself, object hull against hand, table and arm. `_noself`: without the
-robot's and the object's pairs with the robot.
+pairs: robot against hand pieces, table and itself, object hull against hand, table and arm.
 
 Times are process time of one thread, the best of several runs, taken in turns; other work on the machine counts little.
 MuJoCo C runs mj_kinematics and mj_collision; what the Python loop around them costs is measured on an empty model and taken
@@ -41,7 +40,6 @@ MEASURES = (
 )
 BAND_M = 1e-4
 REPEATS = 5
-SELF = ("self", "object_robot")
 
 
 def configurations(scene: Scene, n: int, per_trial: int, seed: int = 0):
@@ -60,9 +58,9 @@ def configurations(scene: Scene, n: int, per_trial: int, seed: int = 0):
     return problems, q.astype(np.float32).astype(np.float64)
 
 
-def contacts_of(twin: oracle.MujocoScene, classes: tuple[str, ...]) -> mujoco.MjModel:
-    """The twin's model with contacts between exactly the pairs of these classes, with MuJoCo's own defaults."""
-    let_collide(twin, classes)
+def contacts_of(twin: oracle.MujocoScene) -> mujoco.MjModel:
+    """The twin's model with contacts between exactly the checked pairs, with MuJoCo's own defaults."""
+    let_collide(twin, oracle.CLASSES)
     twin.model.opt.ccd_iterations, twin.model.opt.ccd_tolerance = 35, 1e-6
     return twin.model
 
@@ -94,11 +92,11 @@ def python_overhead(count: int) -> float:
     return min(times)
 
 
-def fastest(run, others=()) -> list[float]:
+def fastest(*runs) -> list[float]:
     """Shortest process time of each run, taken in turns."""
-    times: list[list[float]] = [[] for _ in range(1 + len(others))]
+    times: list[list[float]] = [[] for _ in runs]
     for _ in range(REPEATS):
-        for i, f in enumerate((run, *others)):
+        for i, f in enumerate(runs):
             start = time.process_time()
             f()
             times[i].append(time.process_time() - start)
@@ -108,8 +106,8 @@ def fastest(run, others=()) -> list[float]:
 class Engines:
     """Every engine on the same configurations and pairs, each run once: compiled, and with its answers at hand."""
 
-    def __init__(self, scene: Scene, problems, twins, classes, q: np.ndarray) -> None:
-        self.models = [contacts_of(t, classes) for t in twins]
+    def __init__(self, scene: Scene, problems, twins, q: np.ndarray) -> None:
+        self.models = [contacts_of(t) for t in twins]
         self.datas = [t.data for t in twins]
         self.q, self.scene, self.bodies = q, scene, problems.body_poses.bodies
         self.flat: Any = wp.array(q.reshape(-1, 6).astype(np.float32), dtype=float, device="cpu")
@@ -134,14 +132,7 @@ class Engines:
 
     def times(self) -> list[float]:
         """Shortest process time (s) of the own kernel and of MuJoCo C."""
-        return fastest(self.run_own, (self.run_mujoco,))
-
-
-def report_times(report: Report, suffix: str, count: int, times: list[float], overhead: float) -> None:
-    times = [times[0], times[1] - overhead, *times[2:]]
-    report.add(f"collision.configs_per_s{suffix}", count / times[0])
-    report.add(f"collision.mujoco_c_configs_per_s{suffix}", count / times[1])
-    report.add(f"collision.ratio_to_mujoco_c{suffix}", times[1] / times[0])
+        return fastest(self.run_own, self.run_mujoco)
 
 
 def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) -> None:
@@ -149,7 +140,6 @@ def report_disagreements(report: Report, engines: Engines, truth: np.ndarray) ->
     flags = engines.own.numpy().reshape(truth.shape)
     clear = np.abs(truth) >= BAND_M
     report.add("collision.disagreements_outside_band", int(((flags != (truth > 0)) & clear).sum()))
-    report.add("collision.mujoco_c_contacts_missed", int((engines.c_free & (truth < -BAND_M)).sum()))
 
 
 def run(args: argparse.Namespace, report: Report) -> None:
@@ -162,17 +152,10 @@ def run(args: argparse.Namespace, report: Report) -> None:
     twins = [oracle.mujoco_scene(scene, staged(problems, k)) for k in range(args.trials)]
     least = [[t.least(x, cap=2e-3) for x in rows] for t, rows in zip(twins, q, strict=True)]
     truth = np.array([[x[0] for x in rows] for rows in least])
-    report.add("collision.free_share", float((truth > 0).mean()))
-    report.add("collision.borderline", int((np.abs(truth) < BAND_M).sum()))
-    overhead = python_overhead(count)
-    report.add("collision.mujoco_c_python_us_taken_off", overhead / count * 1e6)
-    with_self = scene.world.self_links
-    for suffix, classes in (("", oracle.CLASSES), ("_noself", tuple(c for c in oracle.CLASSES if c not in SELF))):
-        scene.world.self_links = with_self if suffix == "" else wp.zeros(9, dtype=int, device="cpu")
-        engines = Engines(scene, problems, twins, classes, q)
-        report_times(report, suffix, count, engines.times(), overhead)
-        if suffix == "":
-            report_disagreements(report, engines, truth)
+    engines = Engines(scene, problems, twins, q)
+    own, mujoco_c = engines.times()
+    report.add("collision.ratio_to_mujoco_c", (mujoco_c - python_overhead(count)) / own)
+    report_disagreements(report, engines, truth)
 
 
 BENCH = Bench(

@@ -5,8 +5,8 @@ python bench/plan.py [--problems N] [--device cpu|cuda:0] [--json FILE]
 Problems: rows of the frozen mix (bench/mix.npz, see throughput.py) whose start and at least one IK branch are free in
 MuJoCo C; both planners get the same start and goals. Ours is timed over the batch with everything from placing the
 bodies on (goal checks, search, shortcuts, smallest clearance; IK apart); OMPL inside solve() only, without simplification,
-its model made beforehand. OMPL's states are checked by MuJoCo C through a Python callback; us_per_check says what one
-costs with the callback. Its edges are sampled every 1/64 rad. A problem counts as solved by OMPL if its path passes the
+its model made beforehand. OMPL's states are checked by MuJoCo C through a Python callback.
+Its edges are sampled every 1/64 rad. A problem counts as solved by OMPL if its path passes the
 re-check at 1/320 rad. Our paths are certified between samples too, are shortened, and carry their smallest clearance.
 
 ratio_to_ompl: process times, one core each, the median of OMPL over our mean per problem: other work on the machine counts
@@ -90,20 +90,12 @@ class OwnTimes:
 
 
 def own_times(report: Report, scene: Scene, batch: Batch) -> OwnTimes:
-    """Plans the batch on one core and on all, and says where the time goes."""
+    """Plans the batch on one core and on all."""
     n = len(batch)
     problems, seconds = planned(scene, batch, 1, time.process_time)
     _, wall = planned(scene, batch, None, time.perf_counter)
-    report.add("plan.us_per_problem_core", seconds / n * 1e6)
-    report.add("plan.problems_per_s_core", n / seconds)
-    report.add("plan.problems_per_s_wall", n / wall)
     found = (problems.plan.length > 0).cpu().numpy()
     report.add("plan.solved", int(found.sum()))
-    report.add("plan.straight_line_share", float(problems.plan.straight.cpu().numpy()[found].mean()))
-    hard = torch.nonzero(~problems.plan.straight.cpu()).flatten()
-    if len(hard):
-        _, seconds_hard = planned(scene, batch.rows(hard), 1, time.process_time)
-        report.add("plan.us_per_searched_problem_core", seconds_hard / len(hard) * 1e6)
     return OwnTimes(problems, n, seconds, wall, found)
 
 
@@ -112,29 +104,25 @@ def recheck_paths(report: Report, scene: Scene, own: OwnTimes, checkers: list[Ch
     problems, found = own.problems, own.found
     config = scene.config.execute
     motion = time_path(problems.plan.path, problems.plan.length, config)
-    penetrating = samples = 0
+    penetrating = 0
     for row in np.flatnonzero(found):
         k = int(problems.plan.length[row])
         path, times = (x[row, :k].double().cpu().numpy() for x in (problems.plan.path, motion.time_s))
-        seen = recheck(checkers[row], motion_samples(path, times, config))
-        penetrating += seen.penetrating > 0
-        samples += seen.samples
+        penetrating += recheck(checkers[row], motion_samples(path, times, config)).penetrating > 0
     report.add("plan.penetrating_paths", penetrating)
-    report.add("plan.configurations_rechecked", samples)
 
 
 def compare_with_ompl(
     report: Report,
     scene: Scene,
-    batch: Batch,
     own: OwnTimes,
     made: tuple[list[Checker], list[np.ndarray]],
     options: Any,
 ) -> None:
     """The same problems by OMPL with the oracle's checks. `made`: checker and goals of each problem."""
     checkers, goals = made
-    n, seconds, wall, found = own.n, own.seconds, own.wall, own.found
-    cpu, walls, checks, solved, invalid, only = [], [], 0, 0, 0, []
+    n, seconds, wall = own.n, own.seconds, own.wall
+    cpu, walls, solved = [], [], 0
     for row in range(n):
         before = time.process_time()
         answer = ompl_solve(
@@ -143,23 +131,8 @@ def compare_with_ompl(
         )  # fmt: skip
         cpu.append(time.process_time() - before)
         walls.append(answer.seconds)
-        checks += answer.checks
-        if answer.path is None:
-            continue
-        if recheck(checkers[row], dense(answer.path)).penetrating:
-            invalid += 1
-            continue
-        solved += 1
-        if not found[row]:
-            only.append(int(batch.trials.trial_id[row]))
+        solved += answer.path is not None and not recheck(checkers[row], dense(answer.path)).penetrating
     report.add("plan.ompl_solved", solved)
-    report.add("plan.ompl_paths_penetrating", invalid)
-    report.add("plan.only_ompl", len(only))
-    report.add("plan.only_ompl_trial_ids", " ".join(map(str, only)) or "none")
-    report.add("plan.ompl_ms_median", statistics.median(cpu) * 1e3)
-    report.add("plan.ompl_ms_mean", statistics.mean(cpu) * 1e3)
-    report.add("plan.ompl_checks_per_problem", checks / n)
-    report.add("plan.ompl_us_per_check", sum(cpu) / checks * 1e6)
     report.add("plan.ratio_to_ompl", statistics.median(cpu) / (seconds / n))
     report.add("plan.ratio_to_ompl_wall", statistics.median(walls) / (wall / n))
 
@@ -174,7 +147,7 @@ def run(options: argparse.Namespace, report: Report) -> None:
     report.add("plan.problems", len(batch))
     own = own_times(report, scene, batch)
     recheck_paths(report, scene, own, checkers)
-    compare_with_ompl(report, scene, batch, own, (checkers, goals), options)
+    compare_with_ompl(report, scene, own, (checkers, goals), options)
 
 
 BENCH = Bench(

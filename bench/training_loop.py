@@ -1,13 +1,11 @@
 """How many candidates per second does Evaluator.score(stages="pose") judge inside a training loop, and at what cost?
 
-python bench/training_loop.py [--device cpu|cuda:0] [--largest N] [--json FILE]
+python bench/training_loop.py [--device cpu|cuda:0] [--json FILE]
 
-Candidates: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v2, half with the oracle's poses, half
-with random ones), repeated; `perturbed`: the oracle's half moved by 1 cm (grasp), 3 cm and 10 degrees (handover), normal
-distributions, as a generator in training proposes them; `distinct`: 4,096 of the mix, each moved by 1 mm of its own. All of the
-default benchmark. Behind it, `random`: random poses of the default and of each other built-in benchmark, 1,024 trials repeated.
+`pose`: the frozen mix of bench/throughput.py (bench/mix.npz: 1,024 trials of r2h-v2, half with the oracle's poses, half with
+random ones), repeated. `random`: random poses of the default and of each other built-in benchmark, 1,024 trials repeated.
 Figures of a size come from one call after another, the median of several; core_us is process time (other work on the machine
-counts little), its smallest, and candidates_per_2_core_s what two cores would do at that price with nothing else to do.
+counts little), its smallest.
 On CUDA there is one kind of time: wall, synchronised.
 """
 
@@ -21,19 +19,16 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
-from _mix import Poses, load_mix, on, repeated
+from _mix import Poses, load_mix, repeated
 from _report import Report, markdown_table
 from run import DEVICE, Bench
 
 from r2h_batch import load_benchmark
-from r2h_batch.base import launch
 from r2h_batch.base.registry import BENCHMARK_NAMES, DEFAULT_BENCHMARK, RELEASE
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
-from r2h_batch.types import Outcome, PlanReason
 
 MEASURES = (
     "bench/training_loop.py",
@@ -46,7 +41,6 @@ MEASURES = (
     "r2h_batch/stages.py",
     "r2h_batch/work.py",
 )
-SIZES = (1, 64, 4096, 65536)
 OF_EACH = (1, 16, 64, 256, 1024, 4096, 16384)
 """Sizes at which every built-in benchmark is measured."""
 KINEMATIC = EvalConfig(execute=ExecConfig(sim="none"))
@@ -63,8 +57,8 @@ class Clock:
             torch.cuda.synchronize()
         return time.perf_counter(), time.perf_counter() if self.cuda else time.process_time()
 
-    def of(self, run: Callable[[], Any], repeats: int) -> tuple[float, float, float]:
-        """Median wall, least wall and least core seconds of a call, after one to warm up."""
+    def of(self, run: Callable[[], Any], repeats: int) -> tuple[float, float]:
+        """Median wall and least core seconds of a call, after one to warm up."""
         run()
         times = []
         for _ in range(repeats):
@@ -73,37 +67,7 @@ class Clock:
             b = self.now()
             times.append((b[0] - a[0], b[1] - a[1]))
         wall, core = zip(*times, strict=True)
-        return statistics.median(wall), min(wall), min(core)
-
-
-def candidates(evaluator: Evaluator, name: str) -> Poses:
-    """The 1,024 (perturbed: 512) candidates of a mix."""
-    mix, by_oracle = load_mix(str(evaluator.scene.device))
-    if name == "mix":
-        return mix
-    device, g = str(evaluator.scene.device), torch.Generator().manual_seed(0)
-    g_all, h_all, all_trials = on(mix, "cpu")
-    T_obj_ee, T_world_ee, trials = g_all[by_oracle], h_all[by_oracle], all_trials[by_oracle]
-    n = len(trials)
-    T_obj_ee[:, :3, 3] += 0.01 * torch.randn(n, 3, generator=g)
-    T_world_ee[:, :3, 3] += 0.03 * torch.randn(n, 3, generator=g)
-    turn = torch.linalg.matrix_exp(np.radians(10) * _skew(torch.randn(n, 3, generator=g)))
-    T_world_ee[:, :3, :3] = turn @ T_world_ee[:, :3, :3]
-    return on((T_obj_ee, T_world_ee, trials), device)
-
-
-def _skew(w: torch.Tensor) -> torch.Tensor:
-    x, y, z = w.unbind(-1)
-    o = torch.zeros_like(x)
-    return torch.stack([o, -z, y, z, o, -x, -y, x, o], -1).view(-1, 3, 3)
-
-
-def distinct(c: Poses) -> Poses:
-    """The same candidates, no two of them alike: repeated rows could be cheaper than what anybody asks for."""
-    T_obj_ee, T_world_ee, g = c[0].clone(), c[1].clone(), torch.Generator().manual_seed(0)
-    for T in (T_obj_ee, T_world_ee):
-        T[:, :3, 3] += 0.001 * torch.randn(len(T), 3, generator=g).to(T.device)
-    return T_obj_ee, T_world_ee, c[2]
+        return statistics.median(wall), min(core)
 
 
 def sizes(
@@ -112,17 +76,15 @@ def sizes(
     mix: Poses,
     clock: Clock,
     of: Iterable[int],
-    figure: str = "training_loop.pose",
+    figure: str,
 ) -> None:
     for b in of:
         c = repeated(mix, b)
         repeats = 30 if b < 1000 else 5 if b < 10000 else 2
-        median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), repeats)  # type: ignore[misc]
+        median, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), repeats)  # type: ignore[misc]
         name = f"{figure}.b{b}"
         report.add(f"{name}.candidates_per_s", b / median)
-        report.add(f"{name}.candidates_per_s_best", b / best)
         report.add(f"{name}.core_us_per_candidate", 1e6 * core / b)
-        report.add(f"{name}.candidates_per_2_core_s", 2 * b / core)
 
 
 def every_benchmark(report: Report, clock: Clock, device: str, threads: int | None) -> None:
@@ -166,26 +128,8 @@ def highest_mib(call: Callable[[], object]) -> float:
 def run(options: argparse.Namespace, report: Report) -> None:
     """Measures all of it."""
     clock = Clock(options.device)
-    largest = options.largest or (65536 if options.device == "cpu" else 1 << 20)
     evaluator = Evaluator(load_benchmark(), KINEMATIC, device=options.device, threads=options.threads)
-    mix = candidates(evaluator, "mix")
-    report.add("training_loop.threads", launch.cpu_threads(options.threads))
-    sizes(report, evaluator, mix, clock, sorted({*(s for s in SIZES if s <= largest), largest}))
-    near = repeated(candidates(evaluator, "perturbed"), 4096)
-    for name, c in (("perturbed", near), ("distinct", distinct(repeated(mix, 4096)))):
-        median, best, core = clock.of(lambda c=c: evaluator.score(*c, stages="pose"), 5)  # type: ignore[misc]
-        report.add(f"training_loop.{name}.b4096.candidates_per_s", 4096 / median)
-        report.add(f"training_loop.{name}.b4096.candidates_per_s_best", 4096 / best)
-        report.add(f"training_loop.{name}.b4096.core_us_per_candidate", 1e6 * core / 4096)
-    for name, c in (("mix", mix), ("perturbed", near)):
-        s = evaluator.score(*c, stages="pose")
-        report.add(f"training_loop.{name}.success", float(s.success.double().mean()))
-        for reason in (PlanReason.OK, PlanReason.IK_UNREACHABLE, PlanReason.IK_IN_COLLISION):
-            share = float((s.plan_reason == int(reason)).double().mean())
-            report.add(f"training_loop.{name}.{reason.name.lower()}_share", share)
-        report.add(
-            f"training_loop.{name}.stability_failures", float((s.outcome == int(Outcome.STABILITY)).double().mean())
-        )
+    sizes(report, evaluator, load_mix(options.device)[0], clock, (4096,), "training_loop.pose")
     every_benchmark(report, clock, options.device, options.threads)
 
 
@@ -195,7 +139,6 @@ BENCH = Bench(
     MEASURES,
     {
         **DEVICE,
-        "--largest": {"type": int, "help": "largest batch (default: 65,536; 1,048,576 on CUDA)"},
         "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
     },
 )

@@ -201,19 +201,13 @@ def test_rates_of_table_one_are_counted_in_the_rows_that_ship(figures):
         assert {k: v for k, v in now.items() if not k.startswith("t_")} == {
             k: v for k, v in then.items() if not k.startswith("t_")
         }
-    for part in each(("compared", "oracle", "spreads")):
+    for part in each(("compared", "oracle")):
         assert found[part] == stored[part], "python bench/families.py --counted"
-    (whole,) = (c for c in stored["compared"] if c["group"] == "all")
-    for pair in each(whole["pairs"]):
-        own = stored["spreads"]["pairs"][f"{families.short(pair['a'])} - {families.short(pair['b'])}"]
-        assert own["difference"] == pytest.approx(pair["difference"])
-        half = families.half_width(own, 16, 6)
-        assert half == pytest.approx((pair["high"] - pair["low"]) / 2, rel=0.05)
 
 
 def test_what_the_first_page_claims_follows(measured):
     kinematic = measured["throughput"].values["throughput.trials_per_s_warm"]
-    simulated = 2 * measured["execute"].values["execute.speed.mujoco.auto.whole_trials_per_core_s"]
+    simulated = 2 * 1000 / measured["execute"].values["execute.speed.mujoco.auto.whole_trial_core_ms"]
     claim = "thousands of handovers a second on two CPU cores, and over 100 a second if it also simulates the motion"
     assert claim in (ROOT / "README.md").read_text()
     assert kinematic > 2000 and simulated > 100
