@@ -1,10 +1,10 @@
 """Angles in float32 without a library: close to the truth everywhere, and no contraction or approximation on CUDA."""
 
 import re
-import sys
 from importlib import import_module
 from pathlib import Path
 
+import gpu_build
 import numpy as np
 import pytest
 import warp as wp
@@ -12,10 +12,6 @@ import warp as wp
 from r2h_batch.base.launch import init_warp, launch_trials
 from r2h_batch.kernels.geometry.angles import angle_of, arc_cosine, sin_cos
 from r2h_batch.kernels.options import OPTIONS
-
-sys.path.append(str(Path(__file__).resolve().parents[2] / "bench"))
-
-import gpu_build
 
 wp.set_module_options(OPTIONS)
 
