@@ -1,16 +1,12 @@
-"""Shared by benches: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory;
-profiles."""
+"""Shared by benches: figures as lines and JSON with commit, versions and hardware; pages; quiet sweeps; memory."""
 
-import cProfile
 import json
 import os
 import platform
-import pstats
-import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import redirect_stdout
 from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
@@ -109,21 +105,6 @@ def swept(folder: Path, *words: object) -> Path:
     with redirect_stdout(StringIO()):
         code = main([*map(str, words), "--out", str(folder)])
     return sys.exit(code) if code else folder
-
-
-def core_ms(call: Callable[[], object], parts: Mapping[str, Any], rounds: int = 3) -> dict[str, float]:
-    """Process milliseconds of a call (median), and of the functions in it as a profiler sees them."""
-    times = []
-    for _ in range(rounds):
-        begin = time.process_time()
-        call()
-        times.append(time.process_time() - begin)
-    profile = cProfile.Profile(time.process_time)
-    profile.runcall(call)
-    seen = {key: row[3] for key, row in pstats.Stats(profile).stats.items()}  # type: ignore[attr-defined]
-    codes = {name: part.__code__ for name, part in parts.items()}
-    spent = {n: seen.get((c.co_filename, c.co_firstlineno, c.co_name), 0.0) for n, c in codes.items()}
-    return {"whole": 1e3 * statistics.median(times)} | {name: 1e3 * s for name, s in spent.items()}
 
 
 def memory_over(trials: int, some_more: Callable[[int], int]) -> dict[str, Any]:

@@ -1,34 +1,22 @@
-"""Object families: Table I of r2h-v2, the turn test, the order of the methods, how many instances they need, the contact
-network against exact maps, and what 96 objects cost: docs/results/table1.md.
+"""Object families: Table I of r2h-v2, the turn test, first failures in other configurations, and the contact network against
+exact maps: docs/results/table1.md.
 
 `python bench/families.py --rows FOLDER` sweeps into the folder, or goes on there, and measures; motions as planned
-(`--execute.sim none`). `--counted` counts Table I, its pairs and the spreads again, from the rows
-that ship with the package.
+(`--execute.sim none`). `--counted` counts Table I and its pairs again, from the rows that ship with the package.
 """
 
 import argparse
 import json
-import os
-import resource
-import statistics
-import subprocess
-import sys
-import tempfile
-import time
-import zipfile
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import asdict, replace
-from io import BytesIO
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from _report import ROOT, Report, made_by, markdown_table, resident_mib, swept
+from _report import ROOT, Report, made_by, markdown_table, swept
 from run import Bench
-from scipy.special import stdtrit
 
 if TYPE_CHECKING:
-    from r2h_batch.config import EvalConfig
     from r2h_batch.runs.store import Run
 
 SHIPPED = ROOT / "r2h_batch" / "report" / "compare" / "rows" / "r2h-v2-as-planned"
@@ -50,64 +38,42 @@ SHORT = {"FC-Handover": "FC", "Handover-VA": "VA", "Contact-Handover": "Contact"
 """`Learned` is short already."""
 TRIALS, SOME, FEW = 500, 240, 120
 """Trials of each split: of Table I, of a turn test, of another configuration."""
-V1, V2 = ("--benchmark", "r2h-v1", "--execute.sim", "none"), ("--benchmark", "r2h-v2", "--execute.sim", "none")
+V2 = ("--benchmark", "r2h-v2", "--execute.sim", "none")
 OTHERS = {
     "preset paper": ("--preset", "paper"),
     "preset release": ("--preset", "release"),
     "the hand alone": ("--receiver", "hand"),
     "candidates as generated": ("--candidates", "as-generated"),
 }
-REGIONS = {
-    "bottle": (("base",), ("body", "base")),
-    "power drill": (("grip", "trigger"), ("grip",)),
-    "binoculars": (("right_barrel", "right_eyecup"), ("barrel", "right_barrel", "eyecup", "right_eyecup")),
-}
-"""Category -> the parts that the receiver takes: as r2h-v2 declares them, and another definition."""
-OF_REGIONS = 120
-"""Trials of a category with each definition of its region."""
 ANY_TURN = "20,40,60"
 """Degrees about x, y and z: a turn that maps neither a box nor a voxel grid onto itself."""
-ROUNDS, ROWS = 7, 128
-MOST_CATEGORIES = 1000
 
 
 def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
-    """Everything on the page; each part is kept in the folder of the rows as soon as it is known."""
+    """Everything on the page."""
     place, trials = options.rows, options.trials
     if options.counted:
         whole: dict[str, Any] = json.loads(STORED.read_text())
-        rows = {k: v for k, v in origin(SHIPPED).items() if k.startswith("rows_")}
-        return {**whole, **of_rows(SHIPPED), **rows}
-    if options.kept:
-        kept: dict[str, Any] = json.loads((place / "found.json").read_text())
-        if not is_frozen(kept):
-            sys.exit(f"{place / 'found.json'} was measured on another r2h-v2; give a new --rows FOLDER, without --kept")
-        return kept | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(place / "v2")
+        return {**whole, **of_rows(SHIPPED), **origin(SHIPPED)}
     few = ("--trials", min(trials, FEW))
     v2 = swept(place / "v2", "--method", *METHODS, *BOUNDS, "--trials", trials, *V2)
-    found: dict[str, Any] = {"trials": trials, "turned": {}, "orders": {}}
-
-    def keep(**parts: Any) -> None:
-        found.update(parts)
-        (place / "found.json").write_text(json.dumps(found, indent=1) + "\n")
-        print(", ".join(parts), "measured", flush=True)
-
-    keep(**of_rows(v2))
-    keep(turned={"r2h-v2": turned(v2, min(trials, SOME), V2)})
-    v1 = swept(place / "v1", "--method", *METHODS, "--trials", min(trials, SOME), *V1)
-    keep(turned=found["turned"] | {"r2h-v1": turned(v1, min(trials, SOME), V1)})
-    keep(exact=exact_maps(place, v2, trials))
-    keep(orders={"r2h-v2": order(v2)})
+    orders = {"r2h-v2": failures(v2)}
     for name, flags in OTHERS.items():
         folder = swept(place / f"v2-{name.replace(' ', '-')}", "--method", *METHODS, *few, *V2, *flags)
-        keep(orders=found["orders"] | {f"r2h-v2, {name}": order(folder)})
-    keep(cost=cost())
-    keep(regions=regions())
-    return found | {"contacts_cpu_s": contact_seconds(), "sizes": sizes()} | origin(v2)
+        orders[f"r2h-v2, {name}"] = failures(folder)
+    return {
+        "trials": trials,
+        **of_rows(v2),
+        "turned": {"r2h-v2": turned(v2, min(trials, SOME))},
+        "exact": exact_maps(place, v2, trials),
+        "orders": orders,
+        **origin(v2),
+        **made_by(MEASURES),
+    }
 
 
 def of_rows(v2: Path) -> dict[str, Any]:
-    """Table I, pairs, rates of the oracle and spreads of the rows of Table I, in the order of this bench's methods."""
+    """Table I, pairs and rates of the oracle of the rows of Table I, in the order of this bench's methods."""
     from r2h_batch.runs.store import load_run
 
     found = table(v2)
@@ -117,25 +83,16 @@ def of_rows(v2: Path) -> dict[str, Any]:
         "table": found,
         "compared": compared(load_run(v2)),
         "oracle": by_category(v2, "oracle"),
-        "spreads": spreads(v2),
     }
 
 
 def origin(v2: Path) -> dict[str, Any]:
-    """Where the rows and the page come from."""
+    """Where the rows come from, and which contact network answered."""
     from r2h_batch.runs.store import load_run
 
     header = load_run(v2, verify=False).header
-    rows = {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"]}
-    return {**rows, "network": network_report()["sha256"], **made_by(MEASURES)}
-
-
-def is_frozen(data: Mapping[str, Any]) -> bool:
-    """Whether the rows are of r2h-v2 as it is frozen; before, it had the receivers of r2h-v1. A sweep itself refuses to go on
-    with rows of another digest."""
-    from r2h_batch import load_benchmark
-
-    return str(data["table"]["origin"]["benchmark"]).endswith(load_benchmark("r2h-v2").digest)
+    network = json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())["sha256"]
+    return {"rows_commit": header["git_commit"], "rows_code": header["digests"]["code"], "network": network}
 
 
 def table(folder: Path) -> dict[str, Any]:
@@ -161,7 +118,7 @@ def compared(run: "Run", methods: Sequence[str] = METHODS) -> list[dict[str, Any
     return [{**asdict(c), "rank": None if c.rank is None else c.rank.tolist()} for c in found]
 
 
-def turned(folder: Path, trials: int, protocol: Sequence[str]) -> list[dict[str, Any]]:
+def turned(folder: Path, trials: int) -> list[dict[str, Any]]:
     """The turn test of the methods: sweeps with turned objects beside the run, made or gone on with."""
     from r2h_batch.base.registry import TURNS
     from r2h_batch.report.turn import about, folder_of
@@ -169,7 +126,7 @@ def turned(folder: Path, trials: int, protocol: Sequence[str]) -> list[dict[str,
     from r2h_batch.runs.store import load_run
 
     for turn in (*TURNS, ANY_TURN):
-        swept(folder_of(folder, turn), "--method", *METHODS, "--trials", trials, *protocol, "--turn", turn)
+        swept(folder_of(folder, turn), "--method", *METHODS, "--trials", trials, *V2, "--turn", turn)
     return about(tests_of(load_run(folder, verify=False).only(METHODS)))
 
 
@@ -188,80 +145,9 @@ def by_category(folder: Path, method: str) -> dict[str, float]:
     return {name: 100 * x / n for name, (x, n) in sorted(sums.items())}
 
 
-def spreads(folder: Path) -> dict[str, Any]:
-    """Standard deviations between categories (s_c), between instances of one (s_i), and of an instance's rate by its trials
-    (s_t), in points: of each method's SR and of each pair's difference. Splits have Table I's weights."""
-    from r2h_batch.report.statistics.paired import pair_up
-    from r2h_batch.runs.store import load_run
-
-    paired = pair_up([load_run(folder).only(METHODS)])
-    place, trials, hits = paired.clusters[1], paired.trials, paired.hits
-    weights = trials.sum(1) / trials.sum()
-    names = [SHORT[name.partition(" (")[0]] for name in paired.names]
-    found: dict[str, Any] = {"methods": {}, "pairs": {}}
-
-    def over_splits(solved: np.ndarray, noise: np.ndarray) -> dict[str, float]:
-        """Both splits' parts, of a mean over C categories of which each split has its share."""
-        parts, counts = [], []
-        for k in range(len(trials)):
-            asked = trials[k] > 0
-            n = trials[k][asked]
-            parts.append(parts_of(solved[k][asked] / n, float(noise[k]), n, place[asked]))
-            counts.append(len(np.unique(place[asked])))
-        more = [w**2 * sum(counts) / c for w, c in zip(weights, counts, strict=True)]
-        return {key: 100 * sum(m * own[key] for m, own in zip(more, parts, strict=True)) ** 0.5 for key in parts[0]}
-
-    means = hits.sum(2) / trials.sum(1)[:, None]  # (2, M)
-    for i, name in enumerate(names):
-        found["methods"][name] = over_splits(hits[:, i], means[:, i] * (1 - means[:, i]))
-    for i, a in enumerate(names):
-        for j, b in list(enumerate(names))[i + 1 :]:
-            more = means[:, i] - means[:, j]
-            differ = (paired.only[:, i, j] + paired.only[:, j, i]) / trials.sum(1)
-            own = over_splits(hits[:, i] - hits[:, j], differ - more**2)
-            difference = 100 * float(weights @ more)
-            found["pairs"][f"{a} - {b}"] = {"difference": difference, **own, "needs": needed(difference, own)}
-    return found
-
-
-def parts_of(value: np.ndarray, noise: float, n: np.ndarray, place: np.ndarray) -> dict[str, float]:
-    """Variances of a split: between categories (s_c), between instances of one (s_i), and of an instance's value by its
-    trials (s_t); those of the trials are taken off the others.
-
-    Args:
-        value: (K,) mean over the trials of each instance.
-        noise: variance of a single trial's value.
-        n: (K,) trials of each instance.
-        place: (K,) number of each instance's category.
-    """
-    kinds = np.unique(place)
-    groups = [value[place == c] for c in kinds]
-    sizes = np.array([len(g) for g in groups])
-    trial = noise * float(np.mean(1 / n))
-    inner = float(np.mean([g.var(ddof=1) for g in groups]))
-    outer = float(np.var([g.mean() for g in groups], ddof=1))
-    return {"s_c": max(outer - inner * float(np.mean(1 / sizes)), 0.0), "s_i": max(inner - trial, 0.0), "s_t": trial}
-
-
-def half_width(own: Mapping[str, float], categories: int, instances: int) -> float:
-    """Half of the 95 % interval of a mean over so many categories of two splits, and instances of each."""
-    variance = own["s_c"] ** 2 + (own["s_i"] ** 2 + own["s_t"] ** 2) / instances
-    return float(stdtrit(categories - 2, 0.975)) * (variance / categories) ** 0.5
-
-
-def needed(difference: float, own: Mapping[str, float]) -> dict[str, int | None]:
-    """Instances of a category -> the fewest categories whose interval leaves out 0; None beyond a thousand."""
-    found: dict[str, int | None] = {}
-    for m in (1, 6, 20):
-        enough = (c for c in range(4, MOST_CATEGORIES + 1) if half_width(own, c, m) < abs(difference))
-        found[str(m)] = next(enough, None)
-    return found
-
-
-def order(folder: Path) -> dict[str, Any]:
-    """SR and first failures (mean of the splits) of each method, and what of the six pairs is decided over all trials."""
+def failures(folder: Path) -> dict[str, dict[str, dict[str, float]]]:
+    """First failures (mean of the splits) of each method."""
     from r2h_batch.report.statistics.aggregate import summarise
-    from r2h_batch.report.statistics.paired import compare, pair_up
     from r2h_batch.report.statistics.rates import FAILURES
     from r2h_batch.report.statistics.tally import tally
     from r2h_batch.runs.store import load_run
@@ -269,19 +155,10 @@ def order(folder: Path) -> dict[str, Any]:
     run = load_run(folder).only(METHODS)
     rows = summarise([tally(run, name) for name in run.methods])
     mean = {SHORT[r.method.partition(" (")[0]]: r.rates for r in rows if r.split == "Avg"}
-    rates = {name: rate.percent for name, own in mean.items() if (rate := own["sr"])}
-    failures = {
+    of = {
         rate: {name: 0.0 if (r := own[rate]) is None else r.percent for name, own in mean.items()} for rate in FAILURES
     }
-    (whole,) = [c for c in compare(pair_up([run]), draws=1) if c.group == "all"]
-    decided = [
-        {"better": winner, "worse": loser, "new": not p.verdict.endswith("here")}
-        for p in whole.pairs
-        if p.verdict != "tied"
-        for a, b in [[SHORT[name.partition(" (")[0]] for name in (p.a, p.b)]]
-        for winner, loser in [(a, b) if p.verdict.startswith("better") else (b, a)]
-    ]
-    return {"sr": rates, "failures": failures, "decided": decided, "n": whole.n}
+    return {"failures": of}
 
 
 def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
@@ -300,146 +177,9 @@ def exact_maps(place: Path, v2: Path, trials: int) -> dict[str, Any]:
     exact = swept(place / "exact", "--method", "contact", "--trials", trials, *V2, "--predicted-contacts", file)
     found: dict[str, Any] = {}
     for name, folder in (("network", v2), ("exact", exact)):
-        run = load_run(folder)
-        rows = table(folder)["rows"]
-        method = run.named("contact")
-        found[name] = {
-            r["split"]: {k: r[k] for k in ("sr", "sr_low", "sr_high", "f_afford")}
-            for r in rows
-            if r["method"] == method
-        }
+        method = load_run(folder).named("contact")
+        found[name] = {r["split"]: {"sr": r["sr"]} for r in table(folder)["rows"] if r["method"] == method}
     return found
-
-
-def as_planned() -> "EvalConfig":
-    """The configuration of `--execute.sim none`."""
-    from r2h_batch.config import EvalConfig, ExecConfig
-
-    return EvalConfig(execute=ExecConfig(sim="none"))
-
-
-def regions() -> list[dict[str, Any]]:
-    """SR of the four methods on a category's instances with each definition of the receiver's region, in the same trials.
-
-    Receiving hands, contact maps and what methods see of the region follow the definition.
-    """
-    from r2h_batch import load_benchmark
-    from r2h_batch.evaluate import Evaluator
-    from r2h_batch.methods import contact, fc, handover_va, intent
-
-    methods = {"FC": fc, "VA": handover_va, "Contact": contact, "Intent": intent}
-    whole = load_benchmark("r2h-v2")
-    found = []
-    for category, definitions in REGIONS.items():
-        own = [o for o in whole.objects if o.name.rpartition("_")[0] == category.replace(" ", "_")]
-        for parts in definitions:
-            region = [np.isin(o.face_part, [o.part_names.index(p) for p in parts]) for o in own]
-            objects = tuple(
-                replace(o, receiver_face=r, instruction=f"hand over the {category} to human")
-                for o, r in zip(own, region, strict=True)
-            )
-            benchmark = replace(whole, objects=objects)
-            evaluator = Evaluator(benchmark, as_planned(), threads=1)
-            trials = benchmark.trials(OF_REGIONS, splits=["S1"])
-            rates = {}
-            for name, method in methods.items():
-                answer = method.predict(trials, evaluator.scene, seed=0)
-                scores = evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
-                rates[name] = 100 * float((scores.outcome == 0).double().mean())
-            share = float(np.mean([o.mesh.area_faces[r].sum() / o.mesh.area for o, r in zip(own, region, strict=True)]))
-            line = {
-                "category": category,
-                "parts": parts,
-                "n": OF_REGIONS,
-                "instances": len(own),
-                "area": share,
-                "sr": rates,
-            }
-            found.append(line)
-            print(line, flush=True)
-    return found
-
-
-def cost() -> dict[str, Any]:
-    """Process seconds of a scene of 96 objects, a trial's time against r2h-v1's by turns, and memory."""
-    from r2h_batch import load_benchmark
-    from r2h_batch.evaluate import Evaluator
-    from r2h_batch.methods import intent
-
-    begin = resident_mib()
-    found: dict[str, Any] = {}
-    score: dict[str, Callable[[], object]] = {}
-    for protocol in ("r2h-v1", "r2h-v2"):
-        benchmark = load_benchmark(protocol)
-        seconds = time.process_time()
-        evaluator = Evaluator(benchmark, as_planned(), threads=1)
-        evaluator.scene.world, evaluator.scene.grasp_tables, evaluator.scene.object_mesh_ids  # noqa: B018
-        trials = benchmark.trials(ROWS // 2, splits=["S0", "S1"])
-        answer = intent.predict(trials, evaluator.scene, seed=0)
-        evaluator.score(answer.T_obj_ee, answer.T_world_ee, trials)
-        found[protocol] = {"ready_cpu_s": time.process_time() - seconds, "resident_mib": resident_mib() - begin}
-
-        def again(e=evaluator, a=answer, t=trials) -> object:
-            return e.score(a.T_obj_ee, a.T_world_ee, t)
-
-        score[protocol] = again
-    times: dict[str, list[float]] = {p: [] for p in score}
-    for _ in range(ROUNDS):
-        for protocol, call in score.items():
-            seconds = time.process_time()
-            call()
-            times[protocol].append(time.process_time() - seconds)
-    ratios = [b / a for a, b in zip(times["r2h-v1"], times["r2h-v2"], strict=True)]
-    found["trial_ms"] = {p: 1e3 * statistics.median(t) / ROWS for p, t in times.items()}
-    found["trial_ratio"] = {"median": statistics.median(ratios), "low": min(ratios), "high": max(ratios)}
-    found["first_use"] = first_use()
-    return found
-
-
-def sizes() -> dict[str, float]:
-    """Megabytes of the families' files and of all that a wheel packs."""
-    files = (ROOT / "assets" / "families").glob("*")
-    stored = sum(p.stat().st_size for p in files if p.suffix in (".npz", ".safetensors", ".json"))
-    return {"families_mb": stored / 1e6, "wheel_mb": packed_mb(("r2h_batch", "kernels", "assets"))}
-
-
-def first_use() -> dict[str, float]:
-    """Seconds of a sweep of the four methods, ten trials of each split, with an empty cache: process time and wall."""
-    command = [sys.executable, "-m", "r2h_batch", "sweep", "--method", *METHODS, "--trials", "10", "--quiet", *V2]
-    before, begin = resource.getrusage(resource.RUSAGE_CHILDREN), time.time()
-    with tempfile.TemporaryDirectory() as place:
-        environment = {**os.environ, "R2H_BATCH_CACHE": f"{place}/cache"}
-        subprocess.run([*command, "--out", f"{place}/run"], check=True, env=environment, stdout=subprocess.DEVNULL)
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-    return {"cpu_s": cpu, "wall_s": time.time() - begin}
-
-
-def contact_seconds() -> float:
-    """Process seconds of the contact network for an object of a family, the mean of four."""
-    import torch
-
-    from r2h_batch.methods.predictors.grid import contact_grids
-    from r2h_batch.methods.predictors.principal_axes import load_axes_network
-    from r2h_batch.scene.objects import load_objects
-
-    torch.set_num_threads(1)
-    network, objects = load_axes_network(), load_objects(["cup_01", "hammer_01", "bottle_01", "bowl_01"])
-    begin = time.process_time()
-    with torch.no_grad():
-        for o in objects:
-            network(contact_grids([o]))
-    return (time.process_time() - begin) / len(objects)
-
-
-def packed_mb(folders: Sequence[str]) -> float:
-    """Size of the tracked files of these folders in one archive, packed as a wheel packs them."""
-    listed = subprocess.run(["git", "ls-files", *folders], cwd=ROOT, check=True, capture_output=True, text=True)
-    buffer = BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name in listed.stdout.splitlines():
-            archive.write(ROOT / name, name)
-    return buffer.tell() / 1e6
 
 
 def short(method: str) -> str:
@@ -557,11 +297,6 @@ def span(values: Collection[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def network_report() -> dict[str, Any]:
-    """The report of the contact network's training."""
-    return json.loads((ROOT / "assets" / "families" / "voxnet_axes.json").read_text())
-
-
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """What pages show: tables, and what is said of them."""
     rows, exact = data["table"]["rows"], data["exact"]
@@ -594,13 +329,12 @@ BENCH = Bench(
     {
         "--rows": {"default": Path("runs/families"), "type": Path, "help": "folder of the sweeps"},
         "--trials": {"default": TRIALS, "help": "of each split of Table I"},
-        "--kept": {"action": "store_true", "help": "write what earlier calls measured, without measuring more"},
         "--counted": {
             "action": "store_true",
-            "help": "count Table I, its pairs and the spreads again from the shipped rows, without a sweep",
+            "help": "count Table I and its pairs again from the shipped rows, without a sweep",
         },
     },
-    peer="exact contact maps, r2h-v1",
+    peer="exact contact maps",
     stored="families",
 )
 

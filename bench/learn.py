@@ -50,15 +50,13 @@ COSTLY = "families:* x 2 seed 71"
 """Instances whose cost is measured."""
 
 
-def trained(place: Path, seed: int, leave_out: Sequence[str]) -> tuple[Path, dict[str, float]]:
-    """Weights, and CPU seconds of the parts of their training."""
+def trained(place: Path, seed: int, leave_out: Sequence[str] = ()) -> Path:
+    """Weights."""
     from r2h_batch import load_benchmark
-    from r2h_batch.training.rank import CHECKPOINT, Recipe, train_ranker
+    from r2h_batch.training.rank import Recipe, train_ranker
 
     name = "-".join([f"seed{seed}", *leave_out])
-    path = train_ranker(load_benchmark("r2h-v2"), Recipe(seed=seed, leave_out=tuple(leave_out)), place / name)
-    spent: dict[str, float] = torch.load(place / name / CHECKPOINT, weights_only=True)["spent"]
-    return path, spent
+    return train_ranker(load_benchmark("r2h-v2"), Recipe(seed=seed, leave_out=tuple(leave_out)), place / name)
 
 
 def rates(evaluator: "Evaluator", trials: "Trials", found: "Predictions") -> dict[str, Any]:
@@ -135,13 +133,9 @@ def instance_cost(place: Path) -> dict[str, float]:
             drawn_instance.cache_clear()
             planned = planned_objects(COSTLY)
             start = time.process_time()
-            objects = [one.drawn() for one in planned]
-            mesh = time.process_time()
-            for one in objects:
-                candidates_of((one,), "filtered", robot)
-            end = time.process_time()
-            found[name] = (end - start) / len(planned)
-            found[f"{name}, candidates"] = (end - mesh) / len(planned)
+            for one in planned:
+                candidates_of((one.drawn(),), "filtered", robot)
+            found[name] = (time.process_time() - start) / len(planned)
     finally:
         os.environ.pop("R2H_BATCH_CACHE")
         if before is not None:
@@ -165,39 +159,33 @@ class Study:
         self.evaluator = Evaluator(self.benchmark, EvalConfig(execute=ExecConfig(sim="none")), threads=1)
         self.some = self.benchmark.trials(options.trials)
 
-    def judged(self, path: Path | None, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
-        """Rates of weights (None: those that ship) on trials, and CPU milliseconds of an answer."""
+    def judged(self, path: Path, trials: "Trials", judge: "Evaluator", **more: Any) -> dict[str, Any]:
+        """Rates of weights on trials."""
         from r2h_batch.methods import learned
 
-        start = time.process_time()
-        answers = learned.predict(trials, judge.scene, weights=str(path or ""), **more)
-        spent = 1000 * (time.process_time() - start) / len(trials)
-        told = rates(judge, trials, answers) | {"ms": spent}
+        told = rates(judge, trials, learned.predict(trials, judge.scene, weights=str(path), **more))
         rounded = {k: round(told[k]["sr"], 1) for k in ("s0", "s1") if k in told}
-        print(path and path.parent.name, more, rounded, flush=True)
+        print(path.parent.name, more, rounded, flush=True)
         return told
 
     def seeds(self) -> dict[str, Any]:
         """Each seed on the benchmark."""
-        found: dict[str, Any] = {"trials": self.options.trials, "seeds": {}, "spent": {}}
-        for seed in SEEDS[: self.options.seeds]:
-            path, found["spent"][f"seed {seed}"] = trained(self.options.runs, seed, ())
-            found["seeds"][str(seed)] = self.judged(path, self.some, self.evaluator)
-            found["bytes"] = path.stat().st_size
-        return found
+        some = SEEDS[: self.options.seeds]
+        found = {str(seed): self.judged(trained(self.options.runs, seed), self.some, self.evaluator) for seed in some}
+        return {"trials": self.options.trials, "seeds": found}
 
     def blind(self) -> dict[str, Any]:
         """The first seed where it does not know the region."""
-        path, _ = trained(self.options.runs, 0, ())
+        path = trained(self.options.runs, 0)
         return {"blind": self.judged(path, self.some, self.evaluator, region="hidden")}
 
     def folds(self) -> dict[str, Any]:
         """Networks that never saw some categories, on these alone."""
 
         names = [o.who.category for o in self.benchmark.objects]
-        found: dict[str, Any] = {"folds": {}, "spent of folds": {}}
+        found: dict[str, Any] = {"folds": {}}
         for fold, out in enumerate(FOLDS[: self.options.folds]):
-            path, found["spent of folds"][f"fold {fold}"] = trained(self.options.runs, 0, out)
+            path = trained(self.options.runs, 0, out)
             own = torch.tensor([names[i] in out for i in self.some.object_index.tolist()])
             found["folds"][str(fold)] = self.judged(path, self.some[own], self.evaluator) | {"left_out": out}
         return found
@@ -209,7 +197,7 @@ class Study:
         if self.options.scans is None:
             return {}
         judge = scans(self.options.scans)
-        path, _ = trained(self.options.runs, 0, ())
+        path = trained(self.options.runs, 0)
         some = judge.scene.benchmark.trials(self.options.scan_trials)
         return {
             "scans": self.judged(path, some, judge) | {"objects": len(judge.scene.objects)},

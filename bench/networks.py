@@ -6,8 +6,6 @@ rows in bench/options/networks (r2h-v2, motion as planned).
 """
 
 import argparse
-import json
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -57,26 +55,6 @@ def region_areas(contacts: Contacts, objects: str = "") -> dict[str, float]:
     return {o.name: area(answer, o.receiver_face[o.point_face]) for o, answer in found.items()}
 
 
-def grouped(values: Mapping[str, float]) -> dict[str, list[float]]:
-    """Category -> the values of its instances."""
-    found: dict[str, list[float]] = {}
-    for name, value in values.items():
-        found.setdefault(name.rpartition("_")[0], []).append(value)
-    return found
-
-
-def rates_by_category(folder: Path, word: str) -> dict[str, float]:
-    """Category -> success of its trials, percent."""
-    from r2h_batch.runs.store import load_run
-
-    run = load_run(folder)
-    (name,) = (e.name for e, w in zip(run.entries, WORDS.values(), strict=True) if w == word)
-    won: dict[str, list[float]] = {}
-    for row in run.trials(name, ["object", "outcome"]).to_pylist():
-        won.setdefault(row["object"].rpartition("_")[0], []).append(100.0 * (row["outcome"] == "success"))
-    return {category: float(np.mean(of)) for category, of in won.items()}
-
-
 def beside_the_others(folder: Path) -> list[dict[str, Any]]:
     """The pairs, over all trials, of Contact-Handover that never saw the category with each other method of Table I; Holm's
     correction is for all pairs of the table that has it in Contact-Handover's place."""
@@ -101,41 +79,11 @@ def measure(options: argparse.Namespace, report: Report) -> None:
     rates = rates_of(folder, [*WORDS.values()])
     for name, option in OPTIONS.items():
         for split, row in rates[WORDS[name]].items():
-            for key in (
-                "sr",
-                "sr_new_categories_low",
-                "sr_new_categories_high",
-                "sr_few_low",
-                "sr_few_high",
-                "f_afford",
-            ):
+            for key in ("sr", "sr_new_categories_low", "sr_new_categories_high", "f_afford"):
                 if row[key] is not None:
                     report.add(f"networks.{name}.{split.lower()}.{key}", row[key])
-        areas = region_areas(option)
-        report.add(f"networks.{name}.objects", len(areas))
-        report.add(f"networks.{name}.region_auc", float(np.mean([*areas.values()])))
-        for category, values in grouped(areas).items():
-            report.add(f"networks.{name}.region_auc_of.{category}", float(np.mean(values)))
-        for category, rate in rates_by_category(folder, WORDS[name]).items():
-            report.add(f"networks.{name}.sr_of.{category}", rate)
-    pairs = beside_the_others(folder)
-    for pair in pairs:
-        for key in ("difference", "low", "high", "p_holm", "p_new_holm"):
-            report.add(f"networks.other_categories.against.{families.short(pair['b']).lower()}.{key}", pair[key])
-    report.add("networks.other_categories.beside", families.beside("Contact", pairs))
-    learned = json.loads((ROOT / "assets/families/unseen.json").read_text("utf-8"))
-    report.add("networks.unseen.training_categories", learned["training_categories"])
-    report.add("networks.unseen.instances_of_other_things", learned["instances_of_other_things"])
-    for pool, found in learned["left_out"].items():
-        report.add(f"networks.tried.{pool}.region_auc", learned["mean_region"][pool])
-        for category, values in found.items():
-            if "region" in values:
-                report.add(f"networks.tried.{pool}.region_auc_of.{category}", values["region"])
-    axes = json.loads((ROOT / "assets/families/voxnet_axes.json").read_text("utf-8"))["left_out"]
-    old = {c: v["as it lies"]["region"] for c, v in axes.items() if "region" in v["as it lies"]}
-    report.add("networks.tried.voxnet.region_auc", float(np.mean([*old.values()])))
-    for category, value in old.items():
-        report.add(f"networks.tried.voxnet.region_auc_of.{category}", value)
+        report.add(f"networks.{name}.region_auc", float(np.mean([*region_areas(option).values()])))
+    report.add("networks.other_categories.beside", families.beside("Contact", beside_the_others(folder)))
 
 
 BENCH = Bench(

@@ -1,8 +1,8 @@
 """Speed and size of the data to learn from that `export views` writes: docs/observe.md.
 
-`python bench/observe_export.py --json bench/results/observe_export.json` writes a shard as the page's command does, and reads it
-back with h5py alone. Process seconds of one core; a small shard is written first, so that kernels are compiled, instances built
-and meshes of table and robot drawn.
+`python bench/observe_export.py --json bench/results/observe_export.json` writes a shard as the page's command does. Process
+seconds of one core; a small shard is written first, so that kernels are compiled, instances built and meshes of table and robot
+drawn.
 """
 
 import argparse
@@ -19,21 +19,6 @@ MEASURES = (
     *("bench/observe_export.py", "kernels/observe", "r2h_batch/observe", "r2h_batch/training", "r2h_batch/methods/oracle.py"),
     *("r2h_batch/evaluate.py", "r2h_batch/launching.py", "r2h_batch/stages.py", "r2h_batch/work.py", "r2h_batch/judge"),
 )  # fmt: skip
-
-
-def read_back(path: Path) -> dict[str, int]:
-    """Bytes in memory of each dataset of a shard."""
-    import h5py
-
-    sizes = {}
-
-    def take(name: str, item: h5py.Dataset | h5py.Group) -> None:
-        if isinstance(item, h5py.Dataset):
-            sizes[name] = item[:].nbytes
-
-    with h5py.File(path) as file:
-        file.visititems(take)
-    return sizes
 
 
 def measure(options: argparse.Namespace, report: Report) -> None:
@@ -56,20 +41,12 @@ def measure(options: argparse.Namespace, report: Report) -> None:
             begin = time.process_time()
             (path,) = write_views(pairs, sees, Path(folder) / name, shards=range(1), tell=print)
             seconds = time.process_time() - begin
-        begin = time.process_time()
-        sizes = read_back(path)
-        reading = time.process_time() - begin
         with h5py.File(path) as file:
-            won, best = file["pairs/success"][:], file["oracle/success"][:]
-        report.add("observe_export.cpu_ms", 1e3 * seconds / trials)
+            won = file["pairs/success"][:]
         report.add("observe_export.trials_per_s", trials / seconds)
         report.add("observe_export.kb", path.stat().st_size / trials / 1e3)
-        report.add("observe_export.kb_in_memory", sum(sizes.values()) / trials / 1e3)
-        report.add("observe_export.read_ms", 1e3 * reading / trials)
-        report.add("observe_export.datasets", len(sizes))
         report.add("observe_export.pairs", PAIRS)
         report.add("observe_export.pairs_won", float(won.mean()))
-        report.add("observe_export.oracle_won", float(best.mean()))
 
 
 BENCH = Bench(__doc__, measure, MEASURES, {"--trials": {"default": 250, "help": "of the shard"}})

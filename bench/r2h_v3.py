@@ -79,14 +79,13 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
         home = (options.parts or Path(folder)).absolute() / name
         home.mkdir(parents=True, exist_ok=True)
         context, parts = multiprocessing.get_context("spawn"), Parts(home, of)
-        spent = dict.fromkeys(TRACKS, 0.0)
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
             waiting = []
             for track, trials in (("seen", options.seen_trials), ("truth", options.trials)):
                 shards = -(-2 * trials // SHARD)
-                waiting += [(track, pool.submit(_swept, home, track, trials, k, shards)) for k in range(shards)]
-            for track, piece in waiting:
-                spent[track] += piece.result()
+                waiting += [pool.submit(_swept, home, track, trials, k, shards) for k in range(shards)]
+            for piece in waiting:
+                piece.result()
         runs, each = {track: load_run(home / track) for track in TRACKS}, options.checked
         # a process for each method: what the ones before have in memory is gone
         with ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=1) as pool:
@@ -113,7 +112,6 @@ def measured(options: argparse.Namespace, _: Report) -> Mapping[str, Any]:
             "robust": titles["robust"],
             "rules": [titles[m] for m in RULES],
             "pairs": {t: _pairs(runs[t]) for t in TRACKS},
-            "cpu_s": {t: spent[t] / sum(runs[t].trials(name).num_rows for name in runs[t].methods) for t in TRACKS},
         }
 
 
@@ -122,18 +120,13 @@ def _line(track: str) -> list[str]:
     return ["--benchmark", "r2h-v3", *TRACKS[track], "--execute.sim", "none"]
 
 
-def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> float:
-    """One shard of a track's trials, all methods; the process seconds that it took, which are kept."""
-    kept = home / f"{track}-{k}.seconds"
-    before = float(kept.read_text()) if kept.exists() else 0.0
+def _swept(home: Path, track: str, trials: int, k: int, shards: int) -> None:
+    """One shard of a track's trials, all methods."""
     begin = time.process_time()
     piece = ("--shard-trials", SHARD, "--shard", f"{k + 1}/{shards}")
     more = ("--trials", trials, "--save-paths", "--threads", 1, "--quiet", *piece)
     swept(home / track, *_line(track), *more)
-    spent = before + time.process_time() - begin
-    kept.write_text(repr(spent))
-    print(f"{track}, shard {k + 1} of {shards}: {spent:.0f} CPU s", flush=True)
-    return spent
+    print(f"{track}, shard {k + 1} of {shards}: {time.process_time() - begin:.0f} CPU s", flush=True)
 
 
 def _about(run: Any, name: str) -> dict[str, Any]:
@@ -145,7 +138,6 @@ def _about(run: Any, name: str) -> dict[str, Any]:
         "outcomes": dict(Counter(r["outcome"] for r in rows)),
         "reasons": dict(Counter(r["pick_reason"] for r in rows if r["outcome"] == "pick")),
         "plans": dict(Counter(r["plan_reason"] for r in rows if r["outcome"] == "plan")),
-        "lost": dict(Counter(r["object"].rpartition("_")[0] for r in rows if r["outcome"] != "success")),
         "nobody": dict(Counter(r["received_reason"] for r in rows if r["outcome"] == "received")),
     }
 
@@ -346,7 +338,6 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         "redraws": markdown_table(["", "trials", "drawn again", "percent"], redraws),
         "stages": table("truth", methods),
         **_bound_of(data, sighted, splits, kinds),
-        **{f"{track}_s": spent for track, spent in data["cpu_s"].items()},
         "sights": table("seen", data["seen"]),
         "reasons": _believed(data, sighted),
         "plans": markdown_table(["", *(r.replace("_", " ") for r in words)], plans),

@@ -1,5 +1,5 @@
 """The people of protocol r2h-v1, looked at: `python bench/receivers.py` writes docs/receivers.png (12 of them from the side) and
-docs/receivers_angles.png (how hands point and where they are), and prints percentiles. MUJOCO_GL=osmesa without a display."""
+docs/receivers_angles.png (how hands point and where they are). MUJOCO_GL=osmesa without a display."""
 
 import argparse
 from pathlib import Path
@@ -15,7 +15,6 @@ from r2h_batch.config import HOME_Q
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
 from r2h_batch.scene.hand import load_hand_set, palm_frame
-from r2h_batch.trials.benchmark import trials_digest
 from r2h_batch.types import Trials
 from r2h_batch.view.drawing import Drawing, View
 from r2h_batch.view.pictures import painter
@@ -98,14 +97,11 @@ def histograms(found: dict[str, dict[str, np.ndarray]], path: Path) -> None:
 
 
 def run(given: argparse.Namespace, _: Report) -> None:
-    """Prints percentiles of both protocols and draws the pictures."""
+    """Draws the pictures."""
     found = {}
     for protocol in ("r2h-v0", "r2h-v1"):
         trials = load_benchmark(protocol).trials(given.trials)
         found[protocol] = angles(trials)
-        print(f"{protocol}: digest of {given.trials} trials a split {trials_digest(trials)}")
-        for name, x in found[protocol].items():
-            print(f"  {name:36s} " + " ".join(f"{q:8.2f}" for q in np.percentile(x, [5, 50, 95])))
     people(trials, list(range(12)), given.out / "receivers.png")
     histograms(found, given.out / "receivers_angles.png")
 

@@ -1,18 +1,16 @@
-"""Can the receivers take what methods hand over, and what does it cost to know: docs/results/reception.{md,png}.
+"""Can the receivers take what methods hand over: docs/results/questions.md, docs/results/reception.png.
 
-`python bench/reception.py` asks it of the shipped baselines of the default benchmark and of `oracle,for=reception`, measures the
-cost on the frozen poses of the oracle (median of three calls on one thread; process time), measures memory over 5,000 trials,
-and draws one trial with all hands that were tried.
+`python bench/reception.py` asks it of the shipped baselines of the default benchmark and of `oracle,for=reception`, and draws one
+trial with all hands that were tried.
 """
 
 import argparse
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
-from _report import ROOT, Report, core_ms, lines_of, markdown_table, memory_over
+from _report import ROOT, Report, lines_of, markdown_table
 from _rows import rate_over_categories
 from run import Bench
 from scipy.spatial.transform import Rotation, Slerp
@@ -32,9 +30,7 @@ MEASURES = (
     "r2h_batch/sweep/results/reception.py",
 )
 BOUND = "oracle,for=reception"
-SIZES = (64, 256, 1024)
 SHOWN_OF = 4
-GROWN_TO = 5000
 TAKEN, BLOCKED, BEYOND = (0.25, 0.65, 0.3, 1), (0.8, 0.25, 0.2, 0.5), (0.95, 0.8, 0.2, 0.35)
 SKIN, OBJECT = (0.87, 0.66, 0.54, 1), (0.13, 0.35, 0.72, 1)
 
@@ -87,30 +83,6 @@ def answered(judge: Any, ids: Any) -> tuple[Any, Any, Any, Any]:
     asked, evaluator = judge.trials(ids), judge.evaluator.kinematic
     answer = oracle.predict(asked, evaluator.scene, evaluator=evaluator, for_="reception")
     return judge, asked, answer, evaluator.score(answer.T_obj_ee, answer.T_world_ee, asked)
-
-
-def cost(scores: Any) -> list[dict[str, float]]:
-    """Process milliseconds a trial, whole and by step, for growing numbers of trials."""
-    from r2h_batch.judge import reception as judge
-
-    parts = {"arms": judge._arms, "gripper": judge._come, "robot": judge._beside_robot}
-    parts |= {"release": judge._let_go, "ways": judge._easiest}
-    found = []
-    for n in sorted({min(n, len(scores)) for n in SIZES}):
-        spent = core_ms(partial(judge.reception, scores[:n]), parts)
-        found.append({"trials": n} | {name: ms / n for name, ms in spent.items()})
-    return found
-
-
-def growth(scores: Any, trials: int = GROWN_TO) -> dict[str, Any]:
-    """Resident memory while the same poses are judged again and again."""
-    from r2h_batch.judge.reception import reception
-
-    def again(_: int) -> int:
-        reception(scores)
-        return len(scores)
-
-    return memory_over(trials, again)
 
 
 def draw(judge: Any, asked: Any, answer: Any, scores: Any) -> str:
@@ -253,14 +225,11 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
 
     benchmark = load_benchmark()
     bound, tables = judged(load_baselines(benchmark), options.trials)
-    torch.set_num_threads(1)
     return {
         "trials": options.trials,
         "benchmark": benchmark.name,
         "rates": rates(tables, bound[1], benchmark.objects),
         "tables": render(tables),
-        "cost": cost(bound[3]),
-        "growth": growth(bound[3]),
         "caption": draw(*bound),
     }
 

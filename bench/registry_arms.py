@@ -14,12 +14,11 @@ import os
 import resource
 import subprocess
 import sys
-import time
 from importlib import metadata
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _report import ROOT, Report, markdown_table
+from _report import ROOT, Report
 from _rows import oracle_percent
 from run import Bench
 
@@ -166,14 +165,13 @@ def fetch(folder: Path) -> None:
     subprocess.run(line, check=True)
 
 
-def imported(listed: Listed, folder: Path, env: dict[str, str]) -> tuple[int, dict[str, Any], str]:
-    """Exit code, times on the clock and of the processor, and the last line of the command."""
+def imported(listed: Listed, folder: Path, env: dict[str, str]) -> tuple[int, float, str]:
+    """Exit code, seconds of the processor, and the last line of the command."""
     line = [sys.executable, "-m", "r2h_batch", "import", "robot", "--from", listed.source, *listed.flags.split()]
-    start, busy = time.perf_counter(), busy_s()
+    busy = busy_s()
     done = subprocess.run([*line, "--out", str(folder)], capture_output=True, text=True, check=False, cwd=ROOT, env=env)
-    spent = {"seconds": time.perf_counter() - start, "cpu_seconds": busy_s() - busy}
     said = (done.stdout + done.stderr).strip().splitlines()
-    return done.returncode, spent, said[-1] if said else ""
+    return done.returncode, busy_s() - busy, said[-1] if said else ""
 
 
 def busy_s() -> float:
@@ -183,43 +181,14 @@ def busy_s() -> float:
 
 
 def tried(name: str, packages: Path, out: Path, trials: int) -> dict[str, Any]:
-    """One arm: times, overshoot, misses, success of the oracle; or the refusal."""
+    """One arm: seconds of the processor, and success of the oracle or the refusal."""
     env = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), str(packages)]), "R2H_BATCH_CACHE": "off"}
     code, spent, said = imported(ARMS[name], out / name, env)
     if code:
         words = said.split(": ", 2) if said.startswith("import: ") else ["", "", said]
-        return spent | {
-            "refused": words[-1].replace(str(packages.resolve()), "FOLDER").replace(str(packages), "FOLDER")
-        }
-    report = json.loads((out / name / "report.json").read_text())
-    found: dict[str, Any] = spent | {
-        "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
-        "missed": report.get("ik_missed", 0),
-        "reach_mm": 1e3 * report["reach_m"],
-        "offset": report.get("offset", ""),
-    }
-    return found | {"oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
-
-
-FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f", "cpu_seconds": ".0f"}
-"""How the table shows a figure."""
-
-
-def tables(found: dict[str, dict[str, Any]]) -> tuple[str, str]:
-    """Markdown tables of the arms that were imported, and of the refusals."""
-    rows, refused = [], []
-    for name, got in found.items():
-        arm, source, flags = ARMS[name]
-        if "refused" in got:
-            refused.append([arm, f"`{source}`", got["refused"], f"{got['seconds']:.1f}", f"{got['cpu_seconds']:.1f}"])
-        else:
-            turned = f", turned by `{got['offset']}`" if got["offset"] else ""
-            rows.append([arm, f"`--from {source} {flags}`{turned}", *(f"{got[k]:{f}}" for k, f in FORMS.items())])
-    heads = ["arm", "flags", "reach, mm", "overshoot, mm", "IK missed", "oracle, %", "seconds of the processor"]
-    return (
-        markdown_table(heads, rows, left=True),
-        markdown_table(["arm", "from", "reason", "seconds", "of the processor"], refused, left=True),
-    )
+        refused = words[-1].replace(str(packages.resolve()), "FOLDER").replace(str(packages), "FOLDER")
+        return {"cpu_seconds": spent, "refused": refused}
+    return {"cpu_seconds": spent, "oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
 
 
 def run(options: argparse.Namespace, result: Report) -> None:
@@ -234,7 +203,6 @@ def run(options: argparse.Namespace, result: Report) -> None:
     for package, version in VERSIONS.items():
         if there.get(package, "").split("-")[0] != version:
             sys.exit(f"--packages {options.packages}: has {package} {there.get(package)}, not {version}; give --fetch")
-        result.add(f"registry_arms.version.{package}", version)
     found: dict[str, dict[str, Any]] = {}
     options.out.mkdir(parents=True, exist_ok=True)
     for name in options.only:
@@ -247,19 +215,11 @@ def run(options: argparse.Namespace, result: Report) -> None:
             result.add(f"registry_arms.{name}.{key}", value)
     through = [n for n in found if "refused" not in found[n]]
     passed = [n for n in through if found[n]["oracle_percent"] >= 97]
-    table, refusals = tables(found)
     result.add("registry_arms.tried", len(found))
     result.add("registry_arms.through", len(through))
     result.add("registry_arms.passed", len(passed))
-    result.add("registry_arms.refused", len(found) - len(through))
     result.add("registry_arms.most_cpu_s", max((found[n]["cpu_seconds"] for n in through), default=0.0))
-    for key in ("seconds", "cpu_seconds"):
-        most = max((g[key] for g in found.values() if "refused" in g), default=0.0)
-        result.add(f"registry_arms.most_refused.{key}", most)
     result.add("registry_arms.trials", options.trials)
-    result.add("registry_arms.packages", ", ".join(f"{k} {v}" for k, v in VERSIONS.items()))
-    result.add("registry_arms.table", table)
-    result.add("registry_arms.refusals", refusals)
 
 
 BENCH = Bench(

@@ -1,7 +1,7 @@
 """The authors' CPU evaluator and planner beside ours, on the same trials in one run: `python bench/release.py --release PATH`.
 
-PATH is a folder with their `evaluation.py` and `planning.py` (a checkout's src/r2handoversim), or a checkout. Without it only
-the import is measured. Trials come from a sweep of ours, are exported, and read back by both.
+PATH is a folder with their `evaluation.py` and `planning.py` (a checkout's src/r2handoversim), or a checkout. Trials come from a
+sweep of ours, are exported, and read back by both.
 """
 
 import argparse
@@ -10,9 +10,6 @@ import hashlib
 import importlib
 import io
 import json
-import resource
-import shutil
-import subprocess
 import sys
 import tempfile
 import time
@@ -21,7 +18,6 @@ from typing import Any
 
 import numpy as np
 import torch
-import trimesh
 from _report import Report
 from run import Bench
 from scipy.spatial.transform import Rotation
@@ -34,7 +30,6 @@ from r2h_batch.judge.ik import solve_ik
 from r2h_batch.methods.candidates import candidates_of
 from r2h_batch.runs.store import load_run
 from r2h_batch.sweep.command import main as sweep
-from r2h_batch.trials.yaml_file import read_benchmark
 from r2h_batch.verdicts import CRITERIA
 from r2h_batch.view.export.release import TOOL_M
 
@@ -77,13 +72,13 @@ def trial_files(folder: Path) -> list[Path]:
 
 
 def release_modules(path: Path) -> list[Any]:
-    """Their modules `evaluation`, `planning` and `robot`."""
+    """Their modules `evaluation` and `planning`."""
     inside = [p for p in (path, path / "src" / "r2handoversim") if (p / "evaluation.py").exists()]
     if not inside:
         raise SystemExit(f"{path}: has no evaluation.py; give a checkout of r2handoversim, or its src/r2handoversim")
     package = inside[0].resolve()
     sys.path.insert(0, str(package.parent))
-    return [importlib.import_module(f"{package.name}.{name}") for name in ("evaluation", "planning", "robot")]
+    return [importlib.import_module(f"{package.name}.{name}") for name in ("evaluation", "planning")]
 
 
 def planned_by_them(planning: Any, trial: dict[str, Any]) -> dict[str, Any]:
@@ -112,7 +107,7 @@ def written(folder: Path, trials: list[dict[str, Any]]) -> Path:
 
 def beside(report: Report, path: Path, files: Path, folder: Path, args: argparse.Namespace) -> None:
     """Both on the same files: flags, and trials in a second of one core."""
-    evaluation, planning, robot = release_modules(path)
+    evaluation, planning = release_modules(path)
     trials = [json.loads(f.read_text()) for f in trial_files(files)]
     flagged = trials[:: max(1, len(trials) // args.flags)]
     line = ("--execute.sim", "none", "--width", "whole")
@@ -134,16 +129,12 @@ def beside(report: Report, path: Path, files: Path, folder: Path, args: argparse
     # planning, from the same home to the same target, with the same table; a straight line is what theirs tries first
     chosen = [t for t in moving if len(t["planned_joints"]) == 2][: args.planned]
     out = ("--replan", "--out", folder / "planned")
-    seconds = quietly(sweep, "--trials-from", mine, *line, *out)
-    report.add("release.plan.ours_trials_per_core_s", len(moving) / seconds)
-    start = time.process_time()
+    quietly(sweep, "--trials-from", mine, *line, *out)
     paths = {t["id"]: planned_by_them(planning, t) for t in chosen}
-    report.add("release.plan.theirs_trials_per_core_s", len(chosen) / (time.process_time() - start))
     own = rows_of(folder / "planned")
     same = sum((paths[i]["planning"]["status"] == "succeeded") == bool(own[i]["passed_plan"]) for i in paths)
     report.add("release.plan.agree", f"{same} of {len(chosen)}")
-    inverse_kinematics(report, planning, robot, args.palms)
-    forward_pass(report, robot, [t | {"provenance": "somebody"} for t in moving], folder)
+    inverse_kinematics(report, planning, args.palms)
 
 
 def palms(seed: int, name: str, count: int) -> Any:
@@ -158,7 +149,7 @@ def palms(seed: int, name: str, count: int) -> Any:
     return T
 
 
-def inverse_kinematics(report: Report, planning: Any, robot: Any, count: int) -> None:
+def inverse_kinematics(report: Report, planning: Any, count: int) -> None:
     """Whether either finds joints for the first grasp of each object of r2h-release, 15 cm above palms of theirs."""
     objects = load_benchmark("r2h-release").objects
     targets = []
@@ -173,62 +164,11 @@ def inverse_kinematics(report: Report, planning: Any, robot: Any, count: int) ->
             T_world_object[:3, 3] = P[:3, 3] + 0.15 * P[:3, 2] - T_world_object[:3, :3] @ center
             targets.append(T_world_object @ grasp)
     ours = T_world_release @ np.stack(targets) @ along_z(-PADS_M[""])
-    solved = solve_ik(se3.orthonormalise(torch.from_numpy(ours).float()))
-    found, proven = solved.reachable.tolist(), solved.unreachable_proven.tolist()
-    bare = [T @ along_z(-TOOL_M) for T in targets]
-    answers = [planning.solve_pose(T) for T in bare]
-    theirs = [bool(a) for a in answers]
+    found = solve_ik(se3.orthonormalise(torch.from_numpy(ours).float())).reachable.tolist()
+    theirs = [bool(planning.solve_pose(T @ along_z(-TOOL_M))) for T in targets]
     report.add("release.ik.agree", f"{sum(a == b for a, b in zip(found, theirs))} of {len(targets)}")
     report.add("release.ik.only_ours", sum(a and not b for a, b in zip(found, theirs)))
-    alone = [k for k, (a, b) in enumerate(zip(found, theirs)) if b and not a]
-    report.add("release.ik.only_theirs", len(alone))
-    report.add("release.ik.only_theirs_proven_unreachable", sum(proven[k] for k in alone))
-    off = [1e3 * float(np.linalg.norm((robot.tcp(answers[k][0]) - bare[k])[:3, 3])) for k in alone]
-    report.add("release.ik.only_theirs_end_off_mm", max(off, default=0.0))
-
-
-def forward_pass(report: Report, robot: Any, trials: list[dict[str, Any]], folder: Path) -> None:
-    """Largest distances, in mm, between what the importer writes and the files' own numbers, moved by their kinematics."""
-    plain, out = written(folder / "plain", trials), folder / "plain_imported"
-    quietly(r2h_batch_main, "import", "trials", plain, "--from", "r2handoversim", "--out", out)
-    benchmark = read_benchmark(out / "benchmark.yaml")
-    poses, motions, listed = (np.load(out / f"{n}.npz") for n in ("predictions", "motions", "trials"))
-    by_id = {t["id"]: t for t in trials}
-    objects = {o.name: o for o in benchmark.objects}
-    S, tips = np.diag([-1.0, -1.0, 1.0, 1.0]), np.eye(4)
-    S[2, 3], tips[2, 3] = -0.75, 0.01875
-    errors: dict[str, list[float]] = {}
-
-    def compare(what: str, ours: Any, theirs: Any) -> None:
-        errors.setdefault(what, []).append(1e3 * float(np.abs(np.asarray(ours) - theirs).max()))
-
-    first = np.append(0, np.cumsum(motions["length"]))
-    for k, name in enumerate(listed["id"].tolist()):
-        t, q = by_id[name], motions["q"][first[k] : first[k + 1]]
-        T_world_tool, T_obj_tool = poses["T_world_ee"][k] @ tips, poses["T_obj_ee"][k] @ tips
-        T_release_tool = robot.tcp(t["executed_joints"][-1]) @ t["T_tcp_asset_tool"]
-        grasp = np.array(t["T_object_gripper"])
-        compare("tool", T_world_tool[:3, 3], (S @ T_release_tool)[:3, 3])
-        model = objects[str(listed["object"][k])]
-        mesh = np.array(t["object_mesh_object"]["vertices"])
-        compare("object", mesh, model.vertices)
-        placed = trimesh.transform_points(model.vertices, T_world_tool @ np.linalg.inv(T_obj_tool))
-        compare("object_placed", placed, trimesh.transform_points(mesh, S @ T_release_tool @ np.linalg.inv(grasp)))
-        skin = trimesh.transform_points(listed["skin"][listed["hand"][k]], listed["T_world_hand"][k])
-        compare("hand", skin, trimesh.transform_points(t["hand_mesh_world"]["vertices"], S))
-        compare("palm", listed["T_world_hand"][k][:3, 3], (S @ [*t["palm_position_world"], 1])[:3])
-        # largest part of an arm's joint error: 1 m away
-        compare("joints_at_1_m", q, t["executed_joints"])
-        (table,) = t["obstacle_boxes_world"]
-        place = benchmark.workplace
-        compare("table", place.table_center, (S @ [*table["center"], 1])[:3])
-        compare("table", place.table_half, table["half_extents"])
-        if t["split"] == "S1":
-            boxes = [[b["center"], b["half_extents"], *b["rotation"]] for b in t["usage_boxes"]]
-            compare("usage_boxes", model.receiver_boxes, boxes)
-    report.add("release.import.checked_trials", len(trials))
-    for what, found in errors.items():
-        report.add(f"release.import.error_mm.{what}", max(found))
+    report.add("release.ik.only_theirs", sum(b and not a for a, b in zip(found, theirs)))
 
 
 def agreement(report: Report, what: str, own: dict[str, dict[str, Any]], theirs: dict[str, dict[str, Any]]) -> None:
@@ -243,30 +183,6 @@ def agreement(report: Report, what: str, own: dict[str, dict[str, Any]], theirs:
             )
     first = sum((theirs[i]["first_failure"] or "success") == own[i]["outcome"] for i in theirs)
     report.add(f"release.{what}.first_failure", f"{first} of {len(theirs)}")
-
-
-def child_seconds() -> float:
-    """Seconds of one core that commands of their own have taken."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
-
-
-def import_many(report: Report, files: Path, folder: Path, count: int) -> None:
-    """The import of `count` trials: copies of the exported ones under other ids."""
-    sources = trial_files(files)
-    many = folder / "many"
-    many.mkdir()
-    for k in range(count):
-        source = sources[k % len(sources)]
-        text = source.read_text().replace(f'"id": "{source.stem}"', f'"id": "t{k}"', 1)
-        (many / f"t{k}.json").write_text(text)
-    start = child_seconds()
-    line = ["trials", str(many), "--from", "r2handoversim", "--out", str(folder / "imported")]
-    subprocess.run([sys.executable, "-m", "r2h_batch", "import", *line], check=True, stdout=subprocess.DEVNULL)
-    report.add("release.import.trials", count)
-    report.add("release.import.core_s", child_seconds() - start)
-    report.add("release.import.memory_mb", resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
-    shutil.rmtree(many)
 
 
 def run(args: argparse.Namespace, report: Report) -> None:
@@ -285,10 +201,7 @@ def run(args: argparse.Namespace, report: Report) -> None:
             "none",
         )
         quietly(sweep, *line, "--save-paths", "--out", own)
-        report.add(
-            "release.export.core_s",
-            quietly(r2h_batch_main, "export", own, "--to", "r2handoversim", "--trials", args.trials, "--out", files),
-        )
+        quietly(r2h_batch_main, "export", own, "--to", "r2handoversim", "--trials", args.trials, "--out", files)
         for name, more in (("given", []), ("replanned", ["--replan"])):
             quietly(sweep, "--trials-from", files, "--execute.sim", "none", *more, "--out", folder / name)
             stored = load_run(own)
@@ -298,10 +211,7 @@ def run(args: argparse.Namespace, report: Report) -> None:
             report.add(f"release.loop.{name}", f"{same} of {len(back)} outcomes")
             for i in (i for i, outcome in back.items() if mine[i] != outcome):
                 print(f"  {i}: {mine[i]} became {back[i]}")
-        import_many(report, files, folder, args.imported)
-        if args.release:
-            beside(report, args.release, files, folder, args)
-    report.add("release.core_s", time.process_time() + child_seconds())
+        beside(report, args.release, files, folder, args)
 
 
 BENCH = Bench(
@@ -309,7 +219,11 @@ BENCH = Bench(
     run,
     MEASURES,
     {
-        "--release": {"type": Path, "help": "folder with evaluation.py and planning.py of the release"},
+        "--release": {
+            "type": Path,
+            "required": True,
+            "help": "folder with evaluation.py and planning.py of the release",
+        },
         "--method": {"default": "contact"},
         # its first arm box touches a table at the height of the base, as r2h-v1 has it: its planner then finds nothing
         "--benchmark": {"default": "r2h-release"},
@@ -318,7 +232,6 @@ BENCH = Bench(
         "--judged": {"default": 1, "help": "motions that theirs judges at all samples: half a minute each"},
         "--planned": {"default": 4, "help": "trials that theirs plans"},
         "--palms": {"default": 8, "help": "palms of each object, for inverse kinematics"},
-        "--imported": {"default": 200},
     },
     peer="the authors' program",
 )

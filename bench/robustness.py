@@ -1,4 +1,4 @@
-"""How methods bear errors of execution: docs/results/robustness.{md,png}.
+"""How methods bear errors of execution: docs/results/questions.md, docs/results/robustness.png.
 
 `python bench/robustness.py --out FOLDER` sweeps all methods on the default benchmark, the motion as planned, without errors and
 with four (the same FOLDER goes on).
@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from _curves import LEVELS, figure, render, robustness
+from _curves import LEVELS, figure, robustness
 from _report import ROOT, Report, markdown_table, swept
 from _rows import keep, rate_of
 from run import Bench
@@ -59,7 +59,6 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
         "benchmark": load_benchmark().name,
         "rates": rates,
         "curves": asdict(found)["curves"],
-        "tables": render(found),
     }
 
 

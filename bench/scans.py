@@ -11,7 +11,7 @@ import json
 import os
 import shutil
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -97,12 +97,10 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
     name, more = options.about.stem, (*FLAGS, "--objects", place)
     rows = kept_rows(name, words, "--benchmark", "r2h-v2", "--trials", options.trials, *more)
     rows_v3 = kept_rows(f"{name}-v3", words, "--benchmark", "r2h-v3", "--trials", options.trials_v3, *more)
-    run = load_run(rows)
-    names = {e.name: word for e, word in zip(run.entries, words, strict=True)}
     objects = [
         {"name": o["name"], "split": o["split"], "digest": o["digest"]}
         | {k: v for k, v in about.get(o["name"], {}).items() if k in ("region", "category", "creator", "licence")}
-        for o in run.header["objects"]
+        for o in load_run(rows, verify=False).header["objects"]
     ]
     areas = {}
     if any(o["split"] == "S1" for o in objects):
@@ -114,7 +112,6 @@ def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
         "objects": objects,
         "rates": counted(rows, words),
         "rates_v3": counted(rows_v3, words),
-        "by_object": {names[m]: by_object(run.trials(m, ["object", "outcome"]).to_pylist()) for m in run.methods},
         "areas": areas,
     }
 
@@ -128,14 +125,6 @@ def counted(rows: Path, words: Sequence[str]) -> dict[str, dict[str, dict[str, A
         }
         for word, own in rates_of(rows, words).items()
     }
-
-
-def by_object(rows: Iterable[Mapping[str, Any]]) -> dict[str, float]:
-    """Object -> success of its trials, percent."""
-    won: dict[str, list[bool]] = {}
-    for row in rows:
-        won.setdefault(row["object"], []).append(row["outcome"] == "success")
-    return {name: 100 * float(np.mean(own)) for name, own in sorted(won.items())}
 
 
 def own(rates: Mapping[str, Any] | None) -> str:

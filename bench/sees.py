@@ -14,15 +14,12 @@ import json
 import multiprocessing
 import tempfile
 import time
-from collections import Counter
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from _report import ROOT, Parts, Report, markdown_table, swept
+from _report import ROOT, Report, markdown_table, swept
 from _source import digests
 from run import Bench
 
@@ -59,36 +56,25 @@ FEWER_TRIALS = 128
 """Trials a split of these sights at most: each needs solids of its own."""
 ORACLE = {"robust search": "oracle"}
 """Told the truth, a search has no error to reckon with."""
-CAUSES = ("stability", "plan", "reach", "affordance", "safe")
-
 SHARD = 128
 """Trials that a process takes through all sights before it takes the next ones: their solids stay
 (`believed_object.KEPT_SOLIDS`)."""
-COSTS = ("the truth", HIDDEN, "one post", "two posts, model known, pose as `lab`")
-"""Sights whose cost is measured; the others cost what two posts do."""
-FEW, MORE = 2, 12
-"""Trials a split of two sweeps. The difference is the cost of a trial, without that of a sweep's start."""
-WORLD = "solid, grasps, hands"
 
 
 def measure(options: argparse.Namespace, _: Report) -> dict[str, Any]:
-    """Success of all methods with all sights, and what some sights cost."""
+    """Success of all methods with all sights."""
     of = {"trials": options.trials, "source": digests(MEASURES)}
-    parts = Parts(options.parts, of)
     context = multiprocessing.get_context("spawn")
     with tempfile.TemporaryDirectory() as folder:
         # rows that other code made are not gone on with
         name = hashlib.sha256(json.dumps(of).encode()).hexdigest()[:12]
         runs = (options.parts or Path(folder)) / f"runs-{name}"
         runs.mkdir(parents=True, exist_ok=True)
-        with ProcessPoolExecutor(options.processes, mp_context=context, max_tasks_per_child=1) as pool:
-            found = [pool.submit(parts.get, f"cost of {w}", partial(_costs, w)) for w in COSTS]
-            costs = {words: f.result() for words, f in zip(COSTS, found, strict=True)}
         with ProcessPoolExecutor(options.processes, mp_context=context) as pool:
             for each in [pool.submit(_swept, runs, options.trials, k) for k in range(_shards(options.trials))]:
                 each.result()
         shown = {words: _reached(runs / _slug(words), words) for words in SEES}
-    return {"trials": options.trials, "shown": shown, "cost": costs}
+    return {"trials": options.trials, "shown": shown}
 
 
 def _asked(words: str) -> dict[str, str]:
@@ -157,71 +143,25 @@ def _reached(folder: Path, words: str) -> dict[str, Any]:
     run, out = load_run(folder), {}
     lines = table_of(run).rows
     for name, title in zip(_asked(words), run.methods, strict=True):
-        rows = run.trials(title)
-        outcome = rows["outcome"].to_pylist()
-        found: dict[str, Any] = {"causes": {c: Counter(outcome)[c] for c in CAUSES}}
+        rows, found = run.trials(title, ["split", "outcome"]).to_pylist(), dict[str, Any]()
         for line in lines:
             if line.method == title and line.split != "Avg":
-                sr, new = line.rates["sr"], line.sr_new_categories
-                assert sr is not None and new is not None
-                split = [o for o, s in zip(outcome, rows["split"].to_pylist(), strict=True) if s == line.split]
+                sr = line.rates["sr"]
+                assert sr is not None
                 found[line.split] = {
-                    "won": "".join(str(int(o == "success")) for o in split),
+                    "won": "".join(str(int(r["outcome"] == "success")) for r in rows if r["split"] == line.split),
                     "sr": sr.percent / 100, "interval": [sr.low / 100, sr.high / 100],
-                    "categories": [new.low / 100, new.high / 100],
                 }  # fmt: skip
-        if SEES[words]:
-            seen = run.sees(title)
-            found["pick"] = float(np.mean(seen["pick"].to_pylist()))
-            found["seen_share"] = float(np.median(seen["seen_share"].to_numpy()))
         out[name] = found
     return out
-
-
-def _costs(words: str) -> dict[str, float]:
-    """Method -> CPU seconds of a trial in a sweep of its own; `WORLD`: of what the methods share."""
-    asked = _asked(words)
-    with tempfile.TemporaryDirectory() as folder:
-
-        def seconds(name: str, *, cold: bool) -> float:
-            took = []
-            for trials in (FEW, FEW, MORE):  # the first loads what is used
-                _forget() if cold else CONTACTS.clear()
-                begin = time.process_time()
-                _sweep(Path(folder) / f"{name} {len(list(Path(folder).iterdir()))}", words, [asked[name]], trials)
-                took.append(time.process_time() - begin)
-            return (took[2] - took[1]) / (2 * (MORE - FEW))
-
-        from r2h_batch.methods.believed import CONTACTS
-
-        first = next(iter(asked))
-        cold = seconds(first, cold=True)
-        found = {name: seconds(name, cold=False) for name in asked}
-        if SEES[words]:
-            found[WORLD] = cold - found[first]
-    return found
-
-
-def _forget() -> None:
-    """No believed object comes from memory."""
-    from r2h_batch.methods import believed
-    from r2h_batch.observe import believed_object
-
-    believed_object.SOLIDS.clear()
-    believed_object.known_mesh.cache_clear()
-    believed.CONTACTS.clear()
-    for kept in (believed.holds_on, believed.with_grasps):
-        kept.cache_clear()
 
 
 def shown(data: Mapping[str, Any]) -> dict[str, Any]:
     """Tables and words of the page."""
     sights = data["shown"]
 
-    def table(say: Callable[[Mapping[str, Any]], str], *, truth: bool = True) -> str:
-        some = {k: v for k, v in sights.items() if truth or k != "the truth"}
-        lines = [[name, *(say(d[name]) if name in d else "" for d in some.values())] for name in METHODS]
-        return markdown_table(["", *map(of_trials, some)], lines)
+    def rates(d: Mapping[str, Any]) -> str:
+        return f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"
 
     def of_trials(words: str) -> str:
         own = _trials(words, data["trials"])
@@ -233,10 +173,11 @@ def shown(data: Mapping[str, Any]) -> dict[str, Any]:
         widths = [d[s]["interval"] for of in some for d in of.values() for s in ("S0", "S1")]
         return 50 * max((high - low for low, high in widths), default=0.0)
 
+    lines = [[name, *(rates(d[name]) if name in d else "" for d in sights.values())] for name in METHODS]
     return {
         "half": half(fewer=False),
         "wide": half(fewer=True),
-        "table": table(lambda d: f"{100 * d['S0']['sr']:.0f} / {100 * d['S1']['sr']:.0f}"),
+        "table": markdown_table(["", *map(of_trials, sights)], lines),
     }
 
 
@@ -247,7 +188,7 @@ BENCH = Bench(
     {
         "--trials": {"default": 40, "help": "of each split"},
         "--processes": {"default": 2},
-        "--parts": {"type": Path, "help": "folder where finished parts are kept: a stopped bench goes on"},
+        "--parts": {"type": Path, "help": "folder where rows are kept: a stopped bench goes on"},
     },
     stored="sees",
 )

@@ -1,9 +1,8 @@
 """Effect of each choice on the default benchmark: the four methods with one choice changed at a time, docs/results/sensitivity.
 
-`python bench/sensitivity.py --out FOLDER` measures it and writes JSON and page (the same FOLDER goes on); `make tables` does too,
-and measures some of the choices on r2h-v1 for its page (docs/results/table1-v1-choices.json). Motion as planned
-(`--execute.sim none`); each variant is one sweep. The paired test (`r2h-batch compare`) says which methods are apart in each,
-and the ranks how often their order is that of the base.
+`python bench/sensitivity.py --out FOLDER` measures it and writes JSON and page (the same FOLDER goes on); `make tables` does too.
+Motion as planned (`--execute.sim none`); each variant is one sweep. The paired test (`r2h-batch compare`) says which methods are
+apart in each, and the ranks how often their order is that of the base.
 """
 
 import argparse
@@ -21,12 +20,6 @@ from run import Bench
 METHODS = ("fc", "handover-va", "contact", "intent")
 TITLES = {"fc": "FC-Handover", "handover-va": "Handover-VA", "contact": "Contact-Handover", "intent": "Intent-Handover"}
 COLUMNS = ("sr", "f_plan", "f_reach", "f_safe", "f_stab", "f_afford")
-V1 = ("--benchmark", "r2h-v1")
-V1_CHOICES = (
-    *("base", "protocol r2h-v0", "plan-hand estimated", "candidates as generated", "error x 2", "receiver with a body"),
-    *("preset paper", "preset release", "contact,at=gripper", "intent,at=gripper", "fc,height_m=0.12", "fc,at=gripper"),
-)
-"""Variants that docs/results/table1.md names."""
 STORED = ROOT / "docs" / "results" / "sensitivity.json"
 TRIALS = 200
 """Trials of each split."""
@@ -49,8 +42,8 @@ class Variant:
         return [f"{m},{said}" for m, said in self.options]
 
 
-def variants(base: tuple[str, ...] = ()) -> list[Variant]:
-    """The base (of the default benchmark, or as these flags say) first; then the protocol, what methods and planner know, how it
+def variants() -> list[Variant]:
+    """The base first; then the protocol, what methods and planner know, how it
     is judged, and each method's own choices."""
     own = [
         ("handover-va", "loops=one"),
@@ -69,27 +62,22 @@ def variants(base: tuple[str, ...] = ()) -> list[Variant]:
         ("fc", "at=gripper"),
         ("fc", "at=gripper,height_m=0.12"),
     ]
-    if base:
-        others = [Variant("protocol r2h-v0", ("--benchmark", "r2h-v0"))]
-        receiver = Variant("receiver with a body", (*base, "--receiver", "body"))
-    else:
-        others = [Variant("protocol r2h-v1", V1), Variant("adults alone", ("--people", "adults"))]
-        receiver = Variant("arm and torso do not count", ("--receiver", "hand"))
     return [
-        Variant("base", base),
-        *others,
-        Variant("plan-hand estimated", (*base, "--plan.hand", "estimated")),
-        Variant("candidates as generated", (*base, "--candidates", "as-generated")),
-        Variant("errors of frames", (*base, "--estimate.errors", "frames")),
-        Variant("errors with tails", (*base, "--estimate.errors", "tails")),
-        Variant("no error", (*base, "--predictor-noise", "0")),
-        Variant("error x 2", (*base, "--predictor-noise", "2")),
-        receiver,
-        Variant("edges sampled", (*base, "--plan.edge-check", "moveit")),
-        Variant("width of the whole object", (*base, "--width", "whole")),
-        Variant("reach of the hull", (*base, "--reach", "hull")),
-        Variant("preset paper", (*base, "--preset", "paper")),
-        Variant("preset release", (*base, "--preset", "release")),
+        Variant("base"),
+        Variant("protocol r2h-v1", ("--benchmark", "r2h-v1")),
+        Variant("adults alone", ("--people", "adults")),
+        Variant("plan-hand estimated", ("--plan.hand", "estimated")),
+        Variant("candidates as generated", ("--candidates", "as-generated")),
+        Variant("errors of frames", ("--estimate.errors", "frames")),
+        Variant("errors with tails", ("--estimate.errors", "tails")),
+        Variant("no error", ("--predictor-noise", "0")),
+        Variant("error x 2", ("--predictor-noise", "2")),
+        Variant("arm and torso do not count", ("--receiver", "hand")),
+        Variant("edges sampled", ("--plan.edge-check", "moveit")),
+        Variant("width of the whole object", ("--width", "whole")),
+        Variant("reach of the hull", ("--reach", "hull")),
+        Variant("preset paper", ("--preset", "paper")),
+        Variant("preset release", ("--preset", "release")),
         Variant("protocol r2h-release", ("--benchmark", "r2h-release")),
         *(Variant(f"{m},{said}", (), ((m, said),)) for m, said in own),
     ]
@@ -161,14 +149,14 @@ def shown(_: Any) -> dict[str, Any]:
     return tables_of(data) | {k: data[k] for k in ("trials", "commit")} | {"benchmark": data["benchmark"]["name"]}
 
 
-def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequence[str] = ()) -> dict:
-    """Sweeps every variant, or those with these names, into a folder of `place`; what the JSON holds."""
+def measure(place: Path, trials: int) -> dict:
+    """Sweeps every variant into a folder of `place`; what the JSON holds."""
     from r2h_batch.runs.store import load_run
 
     found: list[dict] = []
     base_rates: dict = {}
     header: dict = {}
-    for variant in (v for v in variants(base) if v.name in names or not names):
+    for variant in variants():
         line = [
             "--method",
             *variant.methods,
@@ -176,7 +164,7 @@ def measure(place: Path, trials: int, base: tuple[str, ...] = (), names: Sequenc
             str(trials),
             "--execute.sim",
             "none",
-            *(variant.flags or base),
+            *variant.flags,
         ]
         folder = swept(place / re.sub("[ ,=]", "-", variant.name), *line)
         mine = rates_of(folder)

@@ -9,7 +9,6 @@ The sweeps stand in runs/tables-COMMIT, and the same command goes on with them. 
     r2h_batch/report/compare/rows/*, bench/rows/*    the rows of each table, with poses
     docs/results/table1*.{csv,json}               the tables, with intervals, counts, versions and digests
     docs/results/sensitivity.json                 what each choice is worth (default benchmark)
-    docs/results/table1-v1-choices.json           what some of them are worth on r2h-v1
     docs/*.png, docs/pictures/*.png               pictures of runs
     docs/results/made_from.json                   commit, golden's digest, digests of the pictures
     README.md, docs/results/*.md                  the figures and tables of all pages (bench/figures.py)
@@ -41,7 +40,6 @@ RESULTS = Path("docs/results")
 METHODS = ("fc", "handover-va", "contact", "intent", "random", "oracle")
 LEARNED = ("learned",)
 """It was trained for the default benchmark, and came later: its rows stand in folders of their own."""
-CHOICES = "table1-v1-choices.json"
 
 
 @dataclass(frozen=True)
@@ -228,8 +226,7 @@ def install(place: Path, commit: str) -> None:
     """The rows from the sweeps' folders, then all that is made of them."""
     for p in PUBLISHED:
         keep(place / p.name, ROOT / p.rows)
-    for name in ("sensitivity.json", CHOICES):
-        shutil.copy(place / name, ROOT / RESULTS)
+    shutil.copy(place / "sensitivity.json", ROOT / RESULTS)
     write(render_all())
     draw({"commit": commit, "golden": golden_digest()})
 
@@ -254,9 +251,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--render", action="store_true", help="the tables and pages again from the stored rows")
     parser.add_argument("--pictures", action="store_true", help="the pictures again from the stored rows")
-    parser.add_argument(
-        "--trials", type=int, default=500, help="of each split and table; choices of r2h-v1 take 2/5 of them"
-    )
+    parser.add_argument("--trials", type=int, default=500, help="of each split and table")
     given = parser.parse_args()
     os.chdir(ROOT)
     if given.render:
@@ -271,12 +266,8 @@ def main() -> None:
     begin, commit = time.perf_counter(), clean_commit()
     place = Path("runs") / f"tables-{commit[:12]}-{given.trials}"
     runs = [swept(place / p.name, *p.line(given.trials)) for p in PUBLISHED]
-    data = {
-        "sensitivity.json": sensitivity.measure(place / "sensitivity", sensitivity.TRIALS),
-        CHOICES: sensitivity.measure(place / "choices", given.trials * 2 // 5, sensitivity.V1, sensitivity.V1_CHOICES),
-    }
-    for name, measured in data.items():
-        (place / name).write_text(json.dumps(measured, indent=1) + "\n")
+    measured = sensitivity.measure(place / "sensitivity", sensitivity.TRIALS)
+    (place / "sensitivity.json").write_text(json.dumps(measured, indent=1) + "\n")
     if clean_commit() != commit or {load_run(run).header["git_commit"] for run in runs} != {commit}:
         sys.exit("tables: files changed while the sweeps ran; run the command again")
     install(place, commit)

@@ -1,7 +1,7 @@
-"""Robots as their vendors and simulators ship them, imported unedited: the table in docs/robots.md.
+"""Robots as their vendors and simulators ship them, imported unedited: docs/robots.md.
 
 `python bench/vendors.py --files FOLDER --json bench/results/vendors.json` runs `r2h-batch import robot` on each file of ROBOTS
-below FOLDER, and sweeps the oracle on each robot that it writes. FOLDER holds, unpacked, what the table's column "from" names:
+below FOLDER, and sweeps the oracle on each robot that it writes. FOLDER holds, unpacked:
 
 | folder | is |
 |---|---|
@@ -18,14 +18,12 @@ None of it is part of this project. A robot whose file is not there is left out,
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from _report import ROOT, Report, markdown_table
+from _report import ROOT, Report
 from _rows import oracle_percent
 from run import Bench
 
@@ -87,8 +85,8 @@ ROBOTS = {
 }  # fmt: skip
 
 
-def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, dict[str, Any], str]:
-    """Exit code, minutes on the clock and of the processor, and the last line of the command."""
+def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, str]:
+    """Exit code and the last line of the command."""
     path = files / sold.path
     flag = "--mjcf" if path.suffix == ".xml" else "--urdf"
     line = [
@@ -103,68 +101,17 @@ def imported(sold: Sold, files: Path, folder: Path) -> tuple[int, dict[str, Any]
         "--out",
         str(folder),
     ]
-    start, busy = time.perf_counter(), busy_s()
     done = subprocess.run(line, capture_output=True, text=True, check=False, cwd=ROOT)
-    minutes = {"minutes": (time.perf_counter() - start) / 60, "cpu_minutes": (busy_s() - busy) / 60}
     said = (done.stdout + done.stderr).strip().splitlines()
-    return done.returncode, minutes, said[-1] if said else ""
-
-
-def busy_s() -> float:
-    """Processor seconds of all commands so far and of what they started."""
-    used = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return used.ru_utime + used.ru_stime
+    return done.returncode, said[-1] if said else ""
 
 
 def tried(name: str, sold: Sold, files: Path, out: Path, trials: int) -> dict[str, Any]:
-    """One file: minutes, overshoot, misses, success of the oracle; or the refusal."""
-    code, minutes, said = imported(sold, files, out / name)
+    """One file: success of the oracle, or the refusal."""
+    code, said = imported(sold, files, out / name)
     if code:
-        return minutes | {"refused": said.replace(str(files), "FOLDER")}
-    report = json.loads((out / name / "report.json").read_text())
-    found: dict[str, Any] = minutes | {
-        "overshoot_mm": max(row["mean_mm"] for row in report["links"].values()),
-        "missed": report.get("ik_missed", 0),
-        "reach_mm": 1e3 * report["reach_m"],
-    }
-    return found | {"oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
-
-
-def table(found: dict[str, dict[str, Any]]) -> str:
-    """A Markdown table with a row for each file."""
-    heads = [
-        "arm",
-        "gripper",
-        "from",
-        "file and flags",
-        "reach, mm",
-        "overshoot, mm",
-        "IK missed",
-        "oracle, %",
-        "minutes",
-        "of the processor",
-    ]
-    rows = []
-    for name, got in found.items():
-        sold = ROBOTS[name]
-        flag = "mjcf" if sold.path.endswith(".xml") else "urdf"
-        line = f"`--{flag} {Path(sold.path).name} {sold.flags}`"
-        figures = [f"{got[k]:{f}}" for k, f in FORMS.items()] if "refused" not in got else [got["refused"], "", "", ""]
-        rows.append(
-            [
-                sold.arm,
-                sold.gripper or "2F-85 built in",
-                sold.origin,
-                line,
-                *figures,
-                *(f"{got[k]:.1f}" for k in ("minutes", "cpu_minutes")),
-            ]
-        )
-    return markdown_table(heads, rows, left=True)
-
-
-FORMS = {"reach_mm": ",.0f", "overshoot_mm": ".1f", "missed": ",", "oracle_percent": ".0f"}
-"""How the table shows a figure."""
+        return {"refused": said.replace(str(files), "FOLDER")}
+    return {"oracle_percent": oracle_percent(out / f"{name}_run", out / name, trials)}
 
 
 def run(options: argparse.Namespace, result: Report) -> None:
@@ -185,7 +132,6 @@ def run(options: argparse.Namespace, result: Report) -> None:
     result.add("vendors.through", len(through))
     result.add("vendors.arms", len({ROBOTS[n].arm for n in through}))
     result.add("vendors.trials", options.trials)
-    result.add("vendors.table", table(found))
 
 
 BENCH = Bench(

@@ -95,11 +95,9 @@ def test_everything_was_made_from_one_clean_commit_with_the_verdicts_of_today(ta
     later = [load_run(ROOT / p.rows).header for p in tables.PUBLISHED if p.methods == tables.LEARNED]
     first = [h for h in default if h not in later]
     others = [h for h in headers if h["protocol"] != DEFAULT_BENCHMARK]
-    choices, sensitivity = (
-        json.loads((RESULTS / f"{n}.json").read_text()) for n in ("table1-v1-choices", "sensitivity")
-    )
-    assert {h["git_commit"] for h in others} == {made["commit"], choices["commit"]} == {made["commit"]}
-    assert {h["digests"]["code"] for h in others} == {choices["code"]}
+    sensitivity = json.loads((RESULTS / "sensitivity.json").read_text())
+    assert {h["git_commit"] for h in others} == {made["commit"]}
+    assert len({h["digests"]["code"] for h in others}) == 1
     assert {sensitivity["benchmark"]["digest"]} == {h["digests"]["benchmark"] for h in default}
     for own, key in product((first, later), (lambda h: h["git_commit"], lambda h: h["digests"]["code"])):
         assert len({key(h) for h in own}) == 1 < len(own)

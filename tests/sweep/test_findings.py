@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from rounds import each
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -38,9 +37,6 @@ def test_a_variants_flags_and_options_are_a_sweeps():
     # each says something that no other says
     same = [(a, b) for a in found for b in found if a < b and found[a] == found[b]]
     assert same == [] and len(found) == len(sensitivity.variants()) > 20
-    of_v1 = sensitivity.variants(sensitivity.V1)
-    assert {*sensitivity.V1_CHOICES} <= {v.name for v in of_v1}
-    assert all(v.flags[:2] == sensitivity.V1 for v in each(of_v1) if v.flags and not v.name.startswith("protocol"))
 
 
 def test_readmes_table_says_who_is_better_from_both_sides():
@@ -62,23 +58,16 @@ def test_readmes_table_says_who_is_better_from_both_sides():
     assert f"| oracle | judge | {row['sr']:.1f} ({row['sr_new_categories_low']:.1f}-" in found
 
 
-def test_rows_of_another_r2h_v2_are_told_from_those_of_the_frozen_one():
-    import families
-
-    from r2h_batch import load_benchmark
-
-    own = f"--benchmark r2h-v2, digest {load_benchmark('r2h-v2').digest}"
-    assert families.is_frozen({"table": {"origin": {"benchmark": own}}})
-    assert not families.is_frozen({"table": {"origin": {"benchmark": "--benchmark r2h-v2, digest 6e3705382fcb"}}})
-
-
 def test_the_page_of_families_is_of_the_frozen_protocol_and_the_shipped_network():
     import json
 
     import families
 
+    from r2h_batch import load_benchmark
+
     stored = json.loads(families.STORED.read_text())
-    assert families.is_frozen(stored) and stored["network"] == families.network_report()["sha256"]
+    assert stored["table"]["origin"]["benchmark"].endswith(load_benchmark("r2h-v2").digest)
+    assert stored["network"] == json.loads((ROOT / "assets/families/voxnet_axes.json").read_text())["sha256"]
 
 
 def test_a_pair_of_methods_has_one_difference_on_the_page_of_families():
@@ -89,9 +78,7 @@ def test_a_pair_of_methods_has_one_difference_on_the_page_of_families():
     data = json.loads(families.STORED.read_text())
     avg = {families.short(r["method"]): r["sr"] for r in data["table"]["rows"] if r["split"] == "Avg"}
     (whole,) = [c for c in data["compared"] if c["group"] == "all"]
-    paired = {(families.short(p["a"]), families.short(p["b"])): p["difference"] for p in whole["pairs"]}
-    assert len(data["spreads"]["pairs"]) == len(paired) == 6
-    for name, own in data["spreads"]["pairs"].items():
-        a, b = name.split(" - ")
-        assert own["difference"] == pytest.approx(avg[a] - avg[b])
-        assert own["difference"] == pytest.approx(paired[a, b] if (a, b) in paired else -paired[b, a])
+    assert len(whole["pairs"]) == 6
+    for pair in whole["pairs"]:
+        a, b = families.short(pair["a"]), families.short(pair["b"])
+        assert pair["difference"] == pytest.approx(avg[a] - avg[b])
