@@ -3,12 +3,10 @@
 `python bench/generators.py --json bench/results/generators.json` trains a small network on each benchmark: it moves a random
 candidate of a trial and a first pose (turned anyhow, the object in the ball), each by a twist. Its loss is minus the log of
 `soft` of the pose stage. Then both networks answer trials that neither has seen, of both benchmarks, and all stages judge them.
---pictures FOLDER draws successes of each network on the benchmark that it was trained on.
 """
 
 import argparse
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,7 +20,7 @@ from r2h_batch.base import se3, twist
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.methods import random
 from r2h_batch.scene.scene import Scene
-from r2h_batch.types import Predictions, Trials
+from r2h_batch.types import Trials
 
 MEASURES = (
     *("bench/generators.py", "kernels/judge", "kernels/plan", "r2h_batch/judge", "r2h_batch/scene", "r2h_batch/trials"),
@@ -94,23 +92,6 @@ def trained(evaluator: Evaluator, trials: Trials, options: argparse.Namespace) -
     return model.eval()
 
 
-def draw(evaluator: Evaluator, trials: Trials, poses: Poses, folder: Path, most: int) -> None:
-    """The first successes, as bench/rating.py draws them."""
-    import rating
-
-    from r2h_batch.view.drawing import Drawing
-    from r2h_batch.view.pictures import save_picture
-    from r2h_batch.view.stored import judged_again
-
-    folder.mkdir(parents=True, exist_ok=True)
-    success = evaluator.score(poses[0], poses[1], trials).success
-    for i in torch.nonzero(success)[:most, 0].tolist():
-        own = slice(i, i + 1)
-        answer = Predictions(trials.trial_id[own], poses[0][own], poses[1][own], method="generator")
-        drawing = Drawing(judged_again(evaluator, trials[own], answer, "generator"))
-        save_picture(folder / f"{int(trials.trial_id[i])}.png", rating.picture(drawing))
-
-
 def run(options: argparse.Namespace, report: Report) -> None:
     """Trains on each benchmark, and judges on both."""
     torch.set_num_threads(1)
@@ -133,8 +114,6 @@ def run(options: argparse.Namespace, report: Report) -> None:
                 T_obj_ee, T_world_ee = (se3.orthonormalise(T).contiguous() for T in model(asked, OTHER_SEED))
             success = evaluator.score(T_obj_ee, T_world_ee, asked).success
             report.add(f"generators.{of}.on.{name}", int(success.sum()))
-            if options.pictures and name == of:
-                draw(evaluator, asked, (T_obj_ee, T_world_ee), options.pictures / of, 10)
 
 
 BENCH = Bench(
@@ -149,7 +128,6 @@ BENCH = Bench(
         "--rate": {"default": 2e-4, "help": "of learning"},
         "--seed": {"default": 0, "help": "of the network and its lessons"},
         "--threads": {"type": int, "help": "CPU threads (default: one per core)"},
-        "--pictures": {"type": Path, "help": "folder for pictures of ten successes of each"},
     },
     peer="the same network trained on the other benchmark, and before training",
 )

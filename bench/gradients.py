@@ -3,8 +3,7 @@
 python bench/gradients.py [--trials N] [--json FILE]
 
 cost: median seconds of a pose call with its backward pass, less those of the call alone, by turns, for each candidate; random
-candidates of the default benchmark. page: the first block of
-docs/training_loop.md, as printed. ascent: its steps on random candidates of both benchmarks that fail the pose stage. refine:
+candidates of the default benchmark. page: the first block of docs/training_loop.md, as printed. refine:
 examples/refine_poses.py on N trials of each split.
 """
 
@@ -22,7 +21,6 @@ from _report import ROOT, Report
 from run import Bench
 
 from r2h_batch import load_benchmark
-from r2h_batch.base import twist
 from r2h_batch.config import EvalConfig, ExecConfig
 from r2h_batch.evaluate import Evaluator
 from r2h_batch.methods import random
@@ -39,7 +37,6 @@ MEASURES = (
 )
 SIZES = {1: 200, 2048: 7}
 """Candidates of a call -> pairs of calls."""
-ASCENT_ON, ASCENT_ROWS = ("r2h-v2", "r2h-v3"), 128
 
 
 def cost(report: Report) -> None:
@@ -64,7 +61,6 @@ def cost(report: Report) -> None:
         without, with_ = (statistics.median(t) for t in times.values())
         report.add(f"gradients.b{b}.call_us_per_candidate", 1e6 * without / b)
         report.add(f"gradients.b{b}.more_us_per_candidate", 1e6 * (with_ - without) / b)
-        report.add(f"gradients.b{b}.more_ms_per_call", 1e3 * (with_ - without))
 
 
 def page(report: Report) -> None:
@@ -82,32 +78,6 @@ def page(report: Report) -> None:
     report.add("gradients.page.pass_after", int(made["after"].success.sum()))
 
 
-def ascent(report: Report) -> None:
-    """The page's steps on ASCENT_ROWS failing candidates of each benchmark."""
-    weight = torch.tensor([1.0, 1.0, 1.0, 10.0, 10.0, 10.0])
-    for name in ASCENT_ON:
-        benchmark = load_benchmark(name)
-        evaluator = Evaluator(benchmark, EvalConfig(execute=ExecConfig(sim="none")))
-        trials = benchmark.trials_with_ids(torch.arange(2 * ASCENT_ROWS))
-        start = random.predict(trials, evaluator.scene, seed=0)
-        poses = torch.stack([start.T_obj_ee, start.T_world_ee], 1)
-        fails = ~evaluator.score(poses[:, 0], poses[:, 1], trials, stages="pose").success
-        rows = torch.nonzero(fails)[:ASCENT_ROWS, 0]
-        poses, trials = poses[rows], trials[rows]
-        moved = torch.zeros(len(rows), 2, 6, requires_grad=True)
-        adam = torch.optim.Adam([moved], lr=0.004)
-        for _ in range(80):
-            T = twist.retract(poses, weight * moved)
-            scores = evaluator.score(T[:, 0], T[:, 1], trials, stages="pose")
-            adam.zero_grad()
-            (-scores.soft(temperature_m=0.005, log=True).sum()).backward()
-            adam.step()
-        T = twist.retract(poses, weight * moved.detach())
-        success = evaluator.score(T[:, 0], T[:, 1], trials, stages="pose").success
-        report.add(f"gradients.ascent.{name}.failing", len(rows))
-        report.add(f"gradients.ascent.{name}.pass_after", int(success.sum()))
-
-
 def refine(report: Report, trials: int) -> None:
     """The example, on random candidates that fail."""
     sys.path.insert(0, str(ROOT / "examples"))
@@ -116,18 +86,14 @@ def refine(report: Report, trials: int) -> None:
     before, after = refine_poses(["--trials", str(trials)])
     n = 2 * trials
     failing = n - round(before * n)
-    report.add("gradients.refine.candidates", n)
-    report.add("gradients.refine.pass_before", n - failing)
     report.add("gradients.refine.failing", failing)
     report.add("gradients.refine.pass_after", round(after * failing))
-    report.add("gradients.refine.percent_after", 100 * after)
 
 
 def run(options: argparse.Namespace, report: Report) -> None:
     """Measures all of it."""
     cost(report)
     page(report)
-    ascent(report)
     refine(report, options.trials)
 
 
