@@ -63,48 +63,27 @@ HINGE, SLIDE = mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE
 DROPPED_M = 0.02
 
 
-@dataclass(frozen=True)
-class Material:
-    """How MuJoCo regularises the contacts of pads and objects.
+SOLREF, SOLIMP = (0.0056, 1.0), (0.99, 0.99, 0.001, 0.5, 2.0)
+"""How MuJoCo regularises the contacts of pads and objects: time constant (s) and damping ratio; impedance at no and at full
+depth, that depth (m), midpoint and power.
 
-    Friction inside of the cone slides at R f / b: f the friction force, b = 2 / (0.95 time constant), and R falls with
-    (1 - impedance) / impedance and with 1 / impratio. The time constant is in seconds, not in steps: else half the step is
-    another material.
-
-    Attributes:
-        solref: time constant (s) and damping ratio.
-        solimp: impedance at no and at full depth, that depth (m), midpoint and power.
-        torsion_m: radius of the patch whose friction withstands turning about the normal.
-    """
-
-    solref: tuple[float, float] = (0.0056, 1.0)
-    solimp: tuple[float, float, float, float, float] = (0.99, 0.99, 0.001, 0.5, 2.0)
-    torsion_m: float = TORSION_M
-
-    def of_geom(self, friction: float) -> dict[str, Any]:
-        """Arguments of a geom with this material.
-
-        Args:
-            friction: Coulomb's.
-        """
-        return {
-            "friction": [friction, self.torsion_m, ROLL_M],
-            "condim": CONDIM,
-            "solref": self.solref,
-            "solimp": self.solimp,
-        }
+Friction inside of the cone slides at R f / b: f the friction force, b = 2 / (0.95 time constant), and R falls with
+(1 - impedance) / impedance and with 1 / impratio. The time constant is in seconds, not in steps: else half the step is
+another material."""
+CONTACT: dict[str, Any] = {
+    "friction": [FRICTION, TORSION_M, ROLL_M], "condim": CONDIM, "solref": SOLREF, "solimp": SOLIMP,
+}  # fmt: skip
+"""Arguments of a geom that others touch."""
 
 
 @dataclass(frozen=True)
 class Closed:
     """How B grasps ended: gap at rest (m), how far the object moved while closing and, if its weight
-    acted, slipped (m) and turned (rad) after."""
+    acted, slipped after (m)."""
 
     opening_m: Float[Array, " b"]
     moved_m: Float[Array, " b"]
     slip_m: Float[Array, " b"]
-    turned_rad: Float[Array, " b"]
-    held: NDArray[np.bool_]
 
 
 def close_in_physics(
@@ -114,27 +93,20 @@ def close_in_physics(
     robot: Robot,
     *,
     shake: bool = False,
-    shake_m_s2: float = SHAKE_M_S2,
-    down_ee: Float[Array, "*b 3"] | None = None,
 ) -> Closed:
     """Closes the gripper on each object, standing as `T_obj_ee` says and free to move, until the
     fingers rest.
 
-    With `shake`: then its weight (along `down_ee`, of all or of each; default: out of the gripper, as
-    at home) and a shake of `shake_m_s2` along three axes, 0: the weight alone for as long; `held` is
-    whether it slipped by less than 2 cm.
+    With `shake`: then its weight (out of the gripper, as at home) and a shake along three axes.
     """
-    down = np.array([0.0, 0.0, 1.0]) if down_ee is None else np.asarray(down_ee, np.float64)
-    down = np.broadcast_to(down, (len(object_index), 3))
 
-    def one(i: int) -> tuple[float, float, float, float]:
+    def one(i: int) -> tuple[float, float, float]:
         model, T = objects[int(object_index[i])], np.asarray(T_obj_ee[i], np.float64)
-        return _close(robot, model, T, down[i] if shake else None, shake_m_s2)
+        return _close(robot, model, T, shake)
 
     with warnings_unwritten():
         rows = list(thread_pool(cpu_threads()).map(one, range(len(object_index))))
-    opening, moved, slip, turned = np.array(rows, np.float64).reshape(-1, 4).T
-    return Closed(opening, moved, slip, turned, np.isfinite(slip) & (slip < DROPPED_M))
+    return Closed(*np.array(rows, np.float64).reshape(-1, 3).T)
 
 
 def shake(
@@ -170,27 +142,22 @@ def gripper_spec(robot: Robot, model: ObjectModel, T_obj_ee: Array) -> mujoco.Mj
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     spec.option.disableflags = int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     spec.option.impratio, spec.option.tolerance = IMPRATIO, TOLERANCE
-    add_closing_fingers(
-        spec, spec.worldbody, robot, stiff=[4 * STEP_S, 1.0], material=Material(), friction=FRICTION
-    )
+    add_closing_fingers(spec, robot)
     kp, kv = (100.0, 2.0) if robot.linkage.table is None else JAW_GAINS
     for name in FINGERS:
         add_servo(spec, name, kp, kv)
     T = np.linalg.inv(robot.T_flange_gripper) @ robot.T_flange_ee @ np.linalg.inv(T_obj_ee)
-    add_object(spec, model, T, Material())
+    add_object(spec, model, T)
     return spec
 
 
-def add_object(
-    spec: mujoco.MjSpec, model: ObjectModel, T_gripper_obj: Array, material: Material
-) -> None:
+def add_object(spec: mujoco.MjSpec, model: ObjectModel, T_gripper_obj: Array) -> None:
     """Adds the object's convex pieces as a free body, the last joint of the model.
 
     Args:
         spec: with the fingers; its world is the gripper.
         model: the object.
         T_gripper_obj: (4, 4) where it is, m.
-        material: of the contacts.
     """
     xx, yy, zz, xy, xz, yz = model.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
     held = spec.worldbody.add_body(
@@ -203,38 +170,26 @@ def add_object(
         add_mesh(spec, f"piece_{k}", vertices.astype(np.float64), faces, convex=True)
         held.add_geom(
             type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece_{k}", contype=2, conaffinity=1,
-            **material.of_geom(FRICTION),
+            **CONTACT,
         )  # fmt: skip
 
 
-def add_closing_fingers(
-    spec: mujoco.MjSpec,
-    wrist: mujoco.MjsBody,
-    robot: Robot,
-    *,
-    stiff: Sequence[float],
-    material: Material,
-    friction: float,
-) -> None:
+def add_closing_fingers(spec: mujoco.MjSpec, robot: Robot) -> None:
     """Adds two fingers that move together, as parallelograms of their four-bars or as jaws, each with a pad that
     objects touch. They have no motor yet.
 
     Args:
-        spec: the model.
-        wrist: the body that carries them; its frame is the gripper's.
+        spec: the model; its world is the gripper's frame.
         robot: whose linkage.
-        stiff: MuJoCo's solref of ties.
-        material: of the pads' contacts.
-        friction: of the pads.
     """
     link, jaws = robot.linkage, robot.linkage.table is not None
     most, armature = (FORCE_N, JAW_ARMATURE_KG) if jaws else (TORQUE_NM, ARMATURES[0])
     low, high = (link.drive_lower, link.drive_upper) if jaws else (0.0, link.drive_upper)
     room = ROOM[jaws]
-    rigid = {"solref": stiff, "solimp": TIE_IMPEDANCE}
+    rigid = {"solref": [4 * STEP_S, 1.0], "solimp": TIE_IMPEDANCE}
     for name, side in zip(FINGERS, (-1, 1), strict=True):
         frames = FingerFrames.of(robot, side)
-        body = wrist.add_body(
+        body = spec.worldbody.add_body(
             name=name, pos=frames.driver, explicitinertial=True, mass=LINK[0], inertia=[LINK[1]] * 3,
             ipos=frames.pad if jaws else frames.pin / 2,
         )  # fmt: skip
@@ -258,7 +213,7 @@ def add_closing_fingers(
             tie(spec, f"{name}_pad", name, rise.tolist(), **rigid)
         finger.add_geom(
             name=name, type=mujoco.mjtGeom.mjGEOM_BOX, size=robot.linkage.pad_half_size, pos=frames.pad,
-            contype=1, conaffinity=2, **material.of_geom(friction),
+            contype=1, conaffinity=2, **CONTACT,
         )  # fmt: skip
     tie(spec, "left", "right", (0, 1), **rigid)
 
@@ -283,8 +238,9 @@ def pad_rise(robot: Robot) -> Array | None:
 
 
 def _close(
-    robot: Robot, model: ObjectModel, T_obj_ee: Array, down: Array | None, shake_m_s2: float
-) -> tuple[float, float, float, float]:
+    robot: Robot, model: ObjectModel, T_obj_ee: Array, shaken: bool
+) -> tuple[float, float, float]:
+    """Gap at rest, how far the object moved while the fingers closed, and how far it slipped after, m."""
     m = gripper_spec(robot, model, T_obj_ee).compile()
     # nothing drifts off at a touch
     m.dof_damping[-6:] = [model.mass * 50] * 3 + [float(np.trace(model.inertia)) * 50] * 3
@@ -301,18 +257,16 @@ def _close(
     pads = data.geom("right").xpos - data.geom("left").xpos
     opening = float(pads[1] - 2 * robot.linkage.pad_half_size[1])
     moved = float(np.linalg.norm(data.qpos[n : n + 3] - start))
-    if down is None or not np.isfinite(data.qpos).all():
-        return opening, moved, float("nan"), float("nan")
+    if not shaken or not np.isfinite(data.qpos).all():
+        return opening, moved, float("nan")
     m.dof_damping[-6:] = 0.0
-    at, turn = np.split(data.qpos[n:].copy(), [3])
+    at = data.qpos[n : n + 3].copy()
     # weight alone first, then along x, y, z
     for t in np.arange(0.0, 0.3 + 3 * SHAKE_S, every * STEP_S):
         shake = np.zeros(3)
         if t >= 0.3:
             axis = min(int((t - 0.3) / SHAKE_S), 2)
-            shake[axis] = shake_m_s2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
-        m.opt.gravity[:] = G * down + shake
+            shake[axis] = SHAKE_M_S2 * np.sin(2 * np.pi * SHAKE_HZ * (t - 0.3))
+        m.opt.gravity[:] = shake + [0.0, 0.0, G]
         mujoco.mj_step(m, data, every)
-    cosine = min(abs(float(turn @ data.qpos[n + 3 :])), 1.0)
-    slip = float(np.linalg.norm(data.qpos[n : n + 3] - at))
-    return opening, moved, slip, 2 * float(np.arccos(cosine))
+    return opening, moved, float(np.linalg.norm(data.qpos[n : n + 3] - at))

@@ -1,6 +1,6 @@
 """What readers of rows know of them: the names behind their codes, and the schemas of their tables."""
 
-from r2h_batch.runs.columns import later, schema_of_kind
+from r2h_batch.runs.columns import schema_of_kind
 from r2h_batch.verdicts import ELSEWHERE, NO_LONGER, MarginKind, Outcome
 
 MISSING = max(Outcome) + 1
@@ -26,6 +26,3 @@ KINDS = tuple(k.name.lower() for k in MarginKind if k != MarginKind.NONE)
     for kind in ("trials", "details", "poses", "paths", "episodes", "sees", "failures")
 )
 """Schemas for an arm of six joints and a benchmark that asks for nothing more; `schema_of_kind` gives others."""
-
-LATER_COLUMNS = tuple(name for name in later("trials") if name in TRIAL_SCHEMA.names)
-"""Columns of `TRIAL_SCHEMA` that older runs lack; they are read as null there."""

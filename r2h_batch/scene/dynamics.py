@@ -262,13 +262,6 @@ def add_object(gripper: mujoco.MjsBody, *, payload_known: bool) -> mujoco.MjsBod
     return body
 
 
-def loaded_model(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> mujoco.MjModel:
-    """A copy of the arm's model that holds this payload; `data` is scratch."""
-    model = copy.copy(model)
-    load(model, payload, data)
-    return model
-
-
 def load(model: mujoco.MjModel, payload: Payload, data: mujoco.MjData) -> None:
     """Puts a payload into the model itself (its last body) in place of an earlier one; `data` is
     scratch."""

@@ -88,7 +88,6 @@ def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops(robot):
     heavy = replace(box, mass=12.0, inertia=box.inertia * (12.0 / box.mass))
     T = np.stack([frame(Z, Y, np.zeros(3))] * 2)
     closed = close_in_physics((light, heavy), np.array([0, 1]), T, robot, shake=True)
-    assert closed.held.tolist() == [True, False]
     assert closed.slip_m[0] < 1e-3 and closed.slip_m[1] > 0.05
     unshaken = close_in_physics((light,), np.array([0]), T[:1], robot)
     assert np.isnan(unshaken.slip_m).all()

@@ -15,6 +15,7 @@ from problems import kinematic_evaluator
 from rounds import each
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation, Slerp
+from usual_grips import usual_grips
 
 from r2h_batch import load_benchmark
 from r2h_batch.base.launch import launch_trials, new_outputs
@@ -32,7 +33,6 @@ from r2h_batch.scene.person import heads_of
 from r2h_batch.scene.robot import ShapeKind, ee_pose, forward_kinematics
 from r2h_batch.trials.draw.receivers import arm_axes
 from r2h_batch.trials.holding import held_out
-from r2h_batch.trials.holding.capacity import usual_grips
 from r2h_batch.trials.holding.held_out import (
     CONE_EDGES,
     FRICTION,

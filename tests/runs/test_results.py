@@ -26,15 +26,18 @@ from made_runs import (
 from r2h_batch.__main__ import main
 from r2h_batch.runs import files
 from r2h_batch.runs import store as run_store
+from r2h_batch.runs.columns import later
 from r2h_batch.runs.files import RunError, claim, owner_of, temporary_name
 from r2h_batch.runs.header import shards_of
-from r2h_batch.runs.rows import DETAIL_SCHEMA, LATER_COLUMNS, OUTCOME_NAMES, TRIAL_SCHEMA
+from r2h_batch.runs.rows import DETAIL_SCHEMA, OUTCOME_NAMES, TRIAL_SCHEMA
 from r2h_batch.runs.store import load_run
 from r2h_batch.runs.writing import open_run
 from r2h_batch.sweep.rows import pose_rows, score_rows
 from r2h_batch.types import CRITERIA, Outcome
 
 ALL = ["details", "poses", "paths"]
+LATER = [name for name in later("trials") if name in TRIAL_SCHEMA.names]
+"""Columns that older runs lack."""
 
 
 def test_every_column_comes_back_as_it_was_scored(tmp_path):
@@ -152,15 +155,15 @@ def test_totals_are_asserted_on_write(tmp_path):
 def test_a_run_from_before_a_column_was_stored_is_read_with_it_empty_and_keeps_its_digest(tmp_path, monkeypatch):
     write(tmp_path / "run")
     (path,) = files_of(tmp_path / "run")
-    forge(path, lambda table: table.drop_columns(list(LATER_COLUMNS)))
+    forge(path, lambda table: table.drop_columns(LATER))
     digest = load_run(tmp_path / "run").digest("m")
     with monkeypatch.context() as m:  # the version that stored it knew no more columns, and gave the same digest
-        names = [n for n in TRIAL_SCHEMA.names if n not in LATER_COLUMNS]
+        names = [n for n in TRIAL_SCHEMA.names if n not in LATER]
         m.setattr(run_store, "schema_of", lambda header, kind, **_: pa.schema([TRIAL_SCHEMA.field(n) for n in names]))
         assert load_run(tmp_path / "run").digest("m") == digest
     table = load_run(tmp_path / "run").trials("m")
     assert table.schema.equals(TRIAL_SCHEMA, check_metadata=False)
-    assert all(table[name].null_count == 12 for name in LATER_COLUMNS) and table["plan_pair"].null_count < 12
+    assert all(table[name].null_count == 12 for name in LATER) and table["plan_pair"].null_count < 12
 
 
 @pytest.mark.parametrize(

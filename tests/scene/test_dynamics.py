@@ -1,5 +1,6 @@
 """The arm's model against mechanics written down again: mass matrix, weight, payloads, servos, limits."""
 
+import copy
 from dataclasses import replace
 
 import mujoco
@@ -8,11 +9,18 @@ import pytest
 from dynamics_twin import ROBOT, bodies, centers, mass_matrix, some_payload
 
 from r2h_batch.config import HOME_Q
-from r2h_batch.scene.dynamics import arm_model, loaded_model
+from r2h_batch.scene.dynamics import arm_model, load
 from r2h_batch.scene.robot import forward_kinematics
 
 G = 9.81
 STEP_S = 0.002
+
+
+def loaded(model, payload):
+    """A copy of the arm's model that holds this payload."""
+    model = copy.copy(model)
+    load(model, payload, mujoco.MjData(model))
+    return model
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -20,7 +28,7 @@ def test_mass_matrix_and_weight_are_those_of_the_links_gripper_and_payload(seed)
     rng = np.random.default_rng(seed)
     payload = some_payload(rng)
     base = arm_model(ROBOT, step_s=STEP_S)
-    model = loaded_model(base, payload, mujoco.MjData(base))
+    model = loaded(base, payload)
     data = mujoco.MjData(model)
     q = rng.uniform(-3, 3, 6)
     data.qpos[:] = q
@@ -56,7 +64,7 @@ def test_holding_still_for_two_seconds_drifts_less_than_a_tenth_of_a_millimetre(
     rng = np.random.default_rng(0)
     base = arm_model(ROBOT, step_s=STEP_S)
     for q in [np.array(HOME_Q), *rng.uniform(-2.5, 2.5, (5, 6))]:
-        model = loaded_model(base, some_payload(rng, 1.0), mujoco.MjData(base))
+        model = loaded(base, some_payload(rng, 1.0))
         drift = np.linalg.norm(tcp(hold(model, q, 2.0)) - tcp(q), axis=1)
         assert drift.max() < 1e-6
 
@@ -64,7 +72,7 @@ def test_holding_still_for_two_seconds_drifts_less_than_a_tenth_of_a_millimetre(
 def test_an_unknown_payload_sinks_by_its_weight_over_the_servos_stiffness():
     base = arm_model(ROBOT, step_s=STEP_S, payload_known=False)
     payload = replace(some_payload(np.random.default_rng(0), 1.0), T_gripper_obj=np.eye(4))
-    model = loaded_model(base, payload, mujoco.MjData(base))
+    model = loaded(base, payload)
     q = np.array(HOME_Q)
     end = hold(model, q, 2.0)[-1]
     data = mujoco.MjData(model)
@@ -79,7 +87,7 @@ def test_an_unknown_payload_sinks_by_its_weight_over_the_servos_stiffness():
 def test_torques_stay_within_the_joints_limits_weight_included():
     base = arm_model(ROBOT, step_s=STEP_S)
     assert base.jnt_actfrcrange[:, 1].tolist() == [150.0] * 3 + [28.0] * 3
-    model = loaded_model(base, some_payload(np.random.default_rng(0), 1.0), mujoco.MjData(base))
+    model = loaded(base, some_payload(np.random.default_rng(0), 1.0))
     data = mujoco.MjData(model)
     data.qpos[:] = HOME_Q
     data.ctrl[:] = np.array(HOME_Q) + 1.0  # far more than the servos may answer at once

@@ -14,7 +14,7 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float32, Float64, Int64
+from jaxtyping import Float32, Float64
 from numpy.typing import NDArray
 
 from r2h_batch.base.io.cache import ArraySpec, cached, code_digest
@@ -28,7 +28,6 @@ from r2h_batch.trials.holding.held_out import (
     FRICTION,
     GRAVITY,
     G,
-    HeldOut,
     friction_edges,
     load_held_out,
     stored_of_hand,
@@ -46,12 +45,10 @@ AXES_SHARE = 0.7
 """Share of the capacity along each axis that acts: all six act together [choice]."""
 FORM = {
     "center": ArraySpec("float32", ("holds", 3)),
-    "point": ArraySpec("float32", ("holds", 3)),
-    "normal": ArraySpec("float32", ("holds", 3)),
     "total_n": ArraySpec("float32", ("holds", len(GRAVITY))),
     "capacity": ArraySpec("float32", ("holds", len(GRAVITY), 6)),
 }
-"""Arrays of an object in the stored file: those of `Grips`, for gravity along each of `GRAVITY`."""
+"""Arrays of an object in the stored file: those of `Withstood`."""
 MADE_BY = (
     *sampled.MADE_BY,
     "r2h_batch.trials.holding.capacity",
@@ -60,70 +57,19 @@ MADE_BY = (
 
 
 @dataclass(frozen=True, eq=False)
-class Grips:
-    """How N persons hold an object with a receiving grasp, float64, frame obj.
+class Withstood:
+    """Loads that the M held-out grasps of O objects withstand, for gravity along each of `GRAVITY`, in the frame of the object
+    as it is stored.
 
     Attributes:
-        center: (N, 3) mean of the contact points, m: where force and moment act.
-        point: (N, 3) the contact point that faces the hand best, m.
-        normal: (N, 3) the object's outward normal there.
-        axes: (N, 3, 3) columns are the axes that capacities count by.
-        total_n: (N,) sum of the normal forces of a usual grip that carries the object, N; 0: the hand cannot
-            carry it.
-        capacity: (N, 6) force along the axes (N) and moment about them (N m) at which the object slips, for each
+        center: (M, 3) mean of the contact points, m: where force and moment act.
+        total_n: (M, 6) sum of the normal forces of a usual grip that carries the object, N; 0: the hand cannot carry it.
+        capacity: (M, 6, 6) force along the axes (N) and moment about them (N m) at which the object slips, for each
             newton of `total_n`, less of both signs; 0 where the hand cannot carry it.
-    """
-
-    center: Float64[Array, "n 3"]
-    point: Float64[Array, "n 3"]
-    normal: Float64[Array, "n 3"]
-    axes: Float64[Array, "n 3 3"]
-    total_n: Float64[Array, " n"]
-    capacity: Float64[Array, "n 6"]
-
-
-def usual_grips(
-    held_out: HeldOut,
-    objects: Sequence[ObjectModel],
-    grasp: Int64[NDArray[np.int64], " n"],
-    down: Float64[Array, "n 3"],
-) -> Grips:
-    """How persons hold objects with held-out grasps.
-
-    Args:
-        held_out: what `load_held_out(objects)` gives.
-        objects: of which.
-        grasp: (N,) rows of the grasps.
-        down: (N, 3) unit vector of gravity, frame obj. The nearest of `held_out.GRAVITY` counts, as for `grip_n`.
-    """
-    every = Withstood.of(objects, held_out.grasps.hand, held_out.loaded)
-    R = every.axes[held_out.grasps.object_index.numpy()[grasp]]
-    gravity = np.einsum("nij,ni,gj->ng", R, down, GRAVITY).argmax(1)
-
-    def turned(v: NDArray[np.float32]) -> Array:
-        return np.asarray(np.einsum("nij,nj->ni", R, v[grasp].astype(np.float64)))
-
-    return Grips(
-        turned(every.center),
-        turned(every.point),
-        turned(every.normal),
-        R,
-        every.total_n[grasp, gravity].astype(np.float64),
-        every.capacity[grasp, gravity].astype(np.float64),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Withstood:
-    """Loads that the M held-out grasps of O objects withstand, for gravity along each of `GRAVITY`.
-
-    Fields are those of `Grips`, in the frame of the object as it is stored. `axes` (O, 3, 3) turn it into the
-    object's.
+        axes: (O, 3, 3) columns are the axes that capacities count by, in the object's frame.
     """
 
     center: Float32[NDArray[np.float32], "m 3"]
-    point: Float32[NDArray[np.float32], "m 3"]
-    normal: Float32[NDArray[np.float32], "m 3"]
     total_n: Float32[NDArray[np.float32], "m 6"]
     capacity: Float32[NDArray[np.float32], "m 6 6"]
     axes: Float64[Array, "o 3 3"]
@@ -178,14 +124,13 @@ def capacities(
         hand: whose skins.
     """
     m, k = len(skin), len(GRAVITY)
-    shapes = ((m, 3), (m, 3), (m, 3), (m, k), (m, k, 6))
+    shapes = ((m, 3), (m, k), (m, k, 6))
     out = {name: np.zeros(shape, np.float32) for name, shape in zip(FORM, shapes, strict=True)}
     weight, com = float(model.mass) * G, np.asarray(model.com, np.float64)
     for i, (points, normals) in enumerate(_contacts(model, skin, hand)):
         if not len(points):
             continue
-        center, faces = points.mean(0), int((normals @ normals.mean(0)).argmax())
-        out["center"][i], out["point"][i], out["normal"][i] = center, points[faces], normals[faces]
+        out["center"][i] = center = points.mean(0)
         up = -weight * GRAVITY
         held = np.concatenate([up, np.cross(com - center, up)], 1)
         total, capacity = capacity_of(points - center, normals, held, FRICTION)

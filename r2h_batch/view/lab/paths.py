@@ -21,8 +21,6 @@ from r2h_batch.view.stored_trial import StoredTrial
 
 Array = NDArray[np.float64]
 
-REDUCED_TCP_SPEED = 0.25
-"""m/s: the reduced speed of ISO 10218-1, at which people may stand beside a robot that they have stopped trusting."""
 AT_START_RAD = 0.01
 """The arm may stand this far from a path's first posture, each joint [choice]."""
 LOOKAHEAD_S, GAIN = 0.1, 300

@@ -7,6 +7,7 @@ import pytest
 import torch
 from scipy.optimize import linprog
 from scipy.spatial.transform import Rotation
+from usual_grips import usual_grips
 
 from r2h_batch import load_benchmark
 from r2h_batch.data.people import people_hand
@@ -21,7 +22,6 @@ from r2h_batch.trials.holding.capacity import (
     SAFETY,
     Withstood,
     capacities,
-    usual_grips,
 )
 from r2h_batch.trials.holding.contact_forces import ContactForces
 from r2h_batch.trials.holding.held_out import FRICTION, GRAVITY, friction_edges, grip_forces, load_held_out
