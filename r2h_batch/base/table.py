@@ -245,9 +245,9 @@ def of_lines(
     return Table(columns, [dict(zip(head, line, strict=True)) for line in lines], title=title)
 
 
-def replace_forms(columns: Iterable[Column], form: Form, none: str = "") -> list[Column]:
+def replace_forms(columns: Iterable[Column], form: Form) -> list[Column]:
     """The columns with another form."""
-    return [replace(c, form=form, none=none) for c in columns]
+    return [replace(c, form=form, none="") for c in columns]
 
 
 def document(parts: Iterable[Table | str]) -> str:

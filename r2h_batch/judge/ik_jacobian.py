@@ -56,7 +56,6 @@ def solve_ik(
     active: Bool[Tensor, "b"] | None = None,
     robot: Robot | None = None,
     home: Sequence[float] | None = None,
-    seeds: Float[np.ndarray, "s 6"] | None = None,
     iterations: int = ITERATIONS,
 ) -> fused.IkResult:
     """The result of `judge.ik.solve_ik`, with joint angles from pytorch-kinematics on the device of
@@ -73,12 +72,7 @@ def solve_ik(
         kernels = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
         assert isinstance(kernels, fused.SearchedIk)
         return _searched(robot, T_world_ee, kernels)
-    start = fused.ik_seeds() if seeds is None else np.asarray(seeds, np.float64)
     exact = fused.solve_ik(T_world_ee, active=active, robot=robot, home=home)
-    if start.ndim != 2 or start.shape[1] != 6 or not np.isfinite(start).all():
-        raise ValueError(
-            f"seeds have shape {start.shape}; they must be finite joint angles (S, 6) in rad"
-        )
     device = T_world_ee.device
     slot = torch.arange(BRANCHES, dtype=torch.int64, device=device)
     pair = 2 * (slot // 4) + slot % 2
@@ -88,7 +82,9 @@ def solve_ik(
     signs = torch.stack(
         [1.0 - 2.0 * (column // 4), 1.0 - 2.0 * (column // 2 % 2), 1.0 - 2.0 * (column % 2)], 1
     ).double()
-    q, found = _search(robot, targets, signs, torch.from_numpy(start.copy()).to(device), iterations)
+    q, found = _search(
+        robot, targets, signs, torch.from_numpy(fused.ik_seeds().copy()).to(device), iterations
+    )
     return _filled(robot, exact, row, column, targets, q, found, home)
 
 

@@ -405,10 +405,8 @@ def sample_grasps(
     return chosen
 
 
-def generate_grasps(
-    model: ObjectModel, robot: Robot | None = None, *, count: int = COUNT
-) -> Candidates:
-    """Up to `count` grasps as a generator proposes them, not tried on this evaluator's gripper;
+def generate_grasps(model: ObjectModel, robot: Robot | None = None) -> Candidates:
+    """Up to `COUNT` grasps as a generator proposes them, not tried on this evaluator's gripper;
     reproducible. Raises if none.
 
     Antipodal pairs within the friction cone and 3 mm less than the open gap apart, with a tenth of each pad on the
@@ -437,7 +435,7 @@ def generate_grasps(
         raise NoGraspError(
             f"{model.name}: the gripper of {robot.name} fits about no antipodal pair"
         )
-    return diverse(model, every, count, robot)
+    return diverse(model, every, COUNT, robot)
 
 
 def _pool(

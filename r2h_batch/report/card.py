@@ -1,8 +1,6 @@
 """Files of a finished sweep for people, beside its rows: the table, the same numbers as JSON, and a
 card that makes the run folder a data set of the Hugging Face library."""
 
-from pathlib import Path
-
 import yaml
 
 from r2h_batch.base.io.write import write_text
@@ -34,15 +32,13 @@ Verdicts on robot-to-human handovers by r2h_batch {r2h_batch}, benchmark {protoc
 """
 
 
-def write_summary(run: Run, folder: Path | None = None) -> None:
+def write_summary(run: Run) -> None:
     """Write `table.md`, `results.json` and the card `README.md` of a run.
 
     Args:
         run: what `load_run` gives; methods that are not complete are left out.
-        folder: where to; None: into the run's own folder.
     """
-    folder = folder or run.folder
-    table = table_of(run)
+    folder, table = run.folder, table_of(run)
     text = render(table, "md")
     write_text(folder / TABLE, text)
     write_text(folder / RESULTS, render(table, "json"))

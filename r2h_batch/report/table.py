@@ -893,14 +893,13 @@ LEAST = 10
 """Trials of an object below which its rate says little."""
 
 
-def objects_brief(run: Run, more: str = "r2h-batch report RUN --by-object --full") -> str:
+def objects_brief(run: Run) -> str:
     """SR of each method for the objects with `LEAST` trials or more, the hardest first, in `MOST_LINES` lines.
 
     Args:
         run: what `load_run` gives.
-        more: the command that prints every object.
     """
-    short = short_names(run.methods)
+    more, short = "r2h-batch report RUN --by-object --full", short_names(run.methods)
     found: dict[tuple[str, str], dict[str, Any]] = {}
     for method in run.methods:
         for name, row in breakdown.by_object(tally(run, method)):

@@ -83,14 +83,14 @@ def check_array(
         raise FileError(f"{what} holds a number that is not finite in row {int(row[0])}")
 
 
-def not_rigid(T: NDArray[Any], slack: float = RIGID) -> NDArray[np.bool_]:
+def not_rigid(T: NDArray[Any]) -> NDArray[np.bool_]:
     """(N,) whether (N, 4, 4) matrices are invalid transforms: some entry is off by more than
-    `slack`."""
+    `RIGID`."""
     with np.errstate(all="ignore"):
         R = T[:, :3, :3].astype(np.float64)
         error = np.abs(R @ R.transpose(0, 2, 1) - np.eye(3)).max((1, 2))
         last_row = np.abs(T[:, 3] - [0, 0, 0, 1]).max(1)
-        return ~((error < slack) & (last_row < slack) & (np.linalg.det(R) > 0))
+        return ~((error < RIGID) & (last_row < RIGID) & (np.linalg.det(R) > 0))
 
 
 def check_poses(what: str, T: NDArray[Any]) -> None:

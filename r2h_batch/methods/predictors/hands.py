@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import torch
-from jaxtyping import Float32, Int8, Int32, Int64
+from jaxtyping import Float32, Int8, Int64
 from torch import Tensor
 
 from r2h_batch.base import rng, se3
@@ -110,7 +110,6 @@ def predict_receiving(
     *,
     seed: int = 0,
     noise: PredictorNoise | None = None,
-    part: Int32[Tensor, " n"] | None = None,
     seen: Observations | None = None,
 ) -> ReceivingHand:
     """A receiving grasp of each trial's object and hand side, with the error model.
@@ -120,30 +119,17 @@ def predict_receiving(
         scene: objects and hand model: `Evaluator.scene`.
         seed: key of the draws; a row depends on seed and trial id alone.
         noise: deviations of the error model; None: `PredictorNoise()`.
-        part: label that the hand should hold, -1 for any; where no grasp holds it, any is drawn.
         seen: answers of your own network instead, where it has some.
 
     Returns:
         N hands in the object's frame.
-
-    Raises:
-        ValueError: `part` is out of range.
     """
     if seen is not None and seen.receiving is not None:
         return _given(trials, scene, seen.receiving)
-    n, count = len(trials), len(scene.objects)
-    labels = torch.full((n,), -1, dtype=torch.int32, device="cpu") if part is None else part.cpu()
-    names = max(len(o.part_names) for o in scene.objects)
-    if n and not (int(labels.min()) >= -1 and int(labels.max()) < names):
-        raise ValueError(
-            f"part is {int(labels.min())} to {int(labels.max())}; allowed are -1 to {names - 1}"
-        )
     grasps = load_receiving(scene.objects, scene.hands.model)
-    # label -1 stands last
-    fits = torch.ones((count, names + 1, len(grasps)), dtype=torch.bool, device="cpu")
-    for k in range(names):
-        fits[:, k] = grasps.part == k
-    return _drawn(trials, scene, grasps, fits, labels.long() % (names + 1), seed, noise)
+    fits = torch.ones((len(scene.objects), 1, len(grasps)), dtype=torch.bool, device="cpu")
+    wanted = torch.zeros(len(trials), dtype=torch.int64, device="cpu")
+    return _drawn(trials, scene, grasps, fits, wanted, seed, noise)
 
 
 def retrieve_receiving(
