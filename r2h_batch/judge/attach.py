@@ -104,9 +104,9 @@ def attach_object(
     )
     limits = config.thresholds
     width, opening, shift, empty = close_pads(
-        scene.grasp_tables, T_obj_ee, objects, mode=config.width, known=True
+        scene.grasp_tables, T_obj_ee, objects, mode=config.width
     )
-    cut, _ = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M, known=True)
+    cut, _ = open_clearance(scene.grasp_tables, T_obj_ee, objects, cap_m=CUT_CAP_M)
     point, normal = scene.palms
     made = over_trials(row_kernels.close_rows, len(active), scene.device, chunk=ROWS_CHUNK)(
         w_max=limits.w_max_m,

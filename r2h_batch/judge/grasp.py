@@ -26,7 +26,7 @@ Stability's margins."""
 @dataclass(frozen=True)
 class Grasp:
     """Result of closing the gripper in B trials, in metres. `cut_m` is the open gripper's
-    clearance, at most `cut_cap_m`.
+    clearance, at most `CUT_CAP_M`.
 
     Nothing between the pads (`empty`): width NaN. Empty or too wide for the gripper: it stays open,
     shift 0.
@@ -48,29 +48,20 @@ def close_gripper(
     w_max: float | None = None,
     w_min: float | None = None,
     mode: Literal["pads", "whole"] = "pads",
-    cut_cap_m: float = CUT_CAP_M,
-    known: bool = False,
 ) -> Grasp:
     """Width, opening, shift and cut of each grasp `T_obj_ee` (ee in the object's frame) of object
     `object_index`.
 
     The Stability margin is the smallest of `w_max - w`, `w - w_min` and the open gripper's
-    clearance to the object, which counts `cut_cap_m` at most; `-w_max` at least when nothing lies
-    between the pads. 0 passes (touching). `known`: the caller has looked at both tensors (here and
-    below). `w_max`, `w_min` are the gripper's own gaps by default.
+    clearance to the object, which counts `CUT_CAP_M` at most; `-w_max` at least when nothing lies
+    between the pads. 0 passes (touching). `w_max`, `w_min` are the gripper's own gaps by default.
     """
-    if mode not in ("pads", "whole"):
-        raise ValueError(
-            f"mode is {mode!r}; allowed are 'pads' (what lies between the pads) and 'whole' (the object)"
-        )
     w_max = tables.open_gap_m if w_max is None else w_max
     w_min = tables.closed_gap_m if w_min is None else w_min
-    width, opening, shift, empty = close_pads(
-        tables, T_obj_ee, object_index, mode=mode, known=known
-    )
+    width, opening, shift, empty = close_pads(tables, T_obj_ee, object_index, mode=mode)
     # What closes on nothing holds nothing: as far below 0 as the widest graspable object is above
     # it. Lengths of different things are not added: the worst one decides, on the passing side too.
-    cut, _ = open_clearance(tables, T_obj_ee, object_index, cap_m=cut_cap_m, known=True)
+    cut, _ = open_clearance(tables, T_obj_ee, object_index, cap_m=CUT_CAP_M)
     material = torch.where(empty, -w_max, torch.minimum(w_max - width, width - w_min))
     margin = torch.minimum(material, cut)
     return Grasp(width, opening, shift, empty, cut, margin)
@@ -82,7 +73,6 @@ def close_pads(
     object_index: Int32[Tensor, " b"],
     *,
     mode: Literal["pads", "whole"] = "pads",
-    known: bool = False,
 ) -> tuple[Float32[Tensor, " b"], Float32[Tensor, " b"], Float32[Tensor, " b"], Bool[Tensor, " b"]]:
     """Width, opening, shift and emptiness of `close_gripper`, without looking at what the open
     gripper cuts.
@@ -92,13 +82,11 @@ def close_pads(
         T_obj_ee: (B, 4, 4) float32 grasps, m.
         object_index: (B,) int32.
         mode: material between the pads, or the whole object.
-        known: the caller has looked at both tensors.
 
     Returns:
         (B,) each, m, and bool.
     """
-    n = _checked(tables, T_obj_ee, object_index, known)
-    made = over_trials(width_kernels.close_gripper, n, tables.device)(
+    made = over_trials(width_kernels.close_gripper, len(T_obj_ee), tables.device)(
         gripper=tables.gripper,
         surfaces=tables.surfaces,
         open_gap=tables.open_gap_m,
@@ -129,7 +117,6 @@ def open_clearance(
     object_index: Int32[Tensor, " b"],
     *,
     cap_m: float,
-    known: bool = False,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Clearance of the open gripper to the object's solid, and the primitive that has it.
 
@@ -138,15 +125,12 @@ def open_clearance(
         T_obj_ee: (B, 4, 4) float32 grasps, m.
         object_index: (B,) int32.
         cap_m: clearances count this at most, m.
-        known: the caller has looked at both tensors.
 
     Returns:
         (B,) m, negative: depth; (B,) row of `Robot.gripper`.
     """
     opening = _open_gaps(tables.open_gap_m, len(T_obj_ee), tables.device)
-    return _clearance(
-        tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m, known=known
-    )
+    return _clearance(tables, T_obj_ee, object_index, opening, 0, tables.every, True, cap_m)
 
 
 @lru_cache(maxsize=16)
@@ -196,7 +180,6 @@ def region_distance(
     opening_m: Float32[Tensor, " b"],
     *,
     cap_m: float = 0.05,
-    known: bool = False,
 ) -> tuple[Float32[Tensor, " b"], Int32[Tensor, " b"]]:
     """Distance (m) of the fingers at `opening_m` to the receiver's region, and the primitive (as in
     `Robot.gripper`).
@@ -217,7 +200,6 @@ def region_distance(
         tables.moving,
         tables.volumes,
         cap_m,
-        known=known,
     )
 
 
@@ -279,11 +261,9 @@ def _clearance(
     solid: bool,
     cap_m: float,
     enough_m: float = -1e30,
-    known: bool = False,
 ) -> tuple[Tensor, Tensor]:
-    n = _checked(tables, T_obj_ee, object_index, known)
     kernel, count = region_kernels.primitives_clearance, tables.gripper.kind.shape[0]
-    made = over_trials(kernel, n, tables.device, sizes={"R": count, "p": count})(
+    made = over_trials(kernel, len(T_obj_ee), tables.device, sizes={"R": count, "p": count})(
         gripper=tables.gripper,
         surfaces=tables.surfaces,
         surface_offset=surface_offset,
@@ -316,37 +296,6 @@ def gripper_poses(
     kernel = gripper_kernels.gripper_poses
     made = over_trials(kernel, len(opening_m), device, sizes=sizes)(gripper=g, opening=opening_m)
     return made["R"], made["p"]
-
-
-def _checked(tables: GraspTables, T_obj_ee: Tensor, object_index: Tensor, known: bool) -> int:
-    """The batch size, after shape, dtype, device and index have been looked at; `known`: whoever
-    calls has done that."""
-    n = T_obj_ee.shape[0]
-    if known:  # what does not fit its kernel is refused there too
-        return n
-    for name, value, shape, dtype in (
-        ("T_obj_ee", T_obj_ee, (n, 4, 4), torch.float32),
-        ("object_index", object_index, (n,), torch.int32),
-    ):
-        right = (
-            tuple(value.shape) == shape
-            and value.dtype == dtype
-            and str(value.device) == tables.device
-        )
-        if not (right and value.is_contiguous()):
-            raise ValueError(
-                f"{name} is {value.dtype} {tuple(value.shape)} on {value.device}; "
-                f"expected contiguous {dtype} {shape} on {tables.device}"
-            )
-    # on CUDA looking at them would wait for the device: there the caller vouches for them
-    if n and tables.device == "cpu":
-        low, high = (int(x) for x in torch.aminmax(object_index))
-        if low < 0 or high >= tables.objects:
-            allowed = f"[0, {tables.objects - 1}]"
-            raise ValueError(
-                f"object_index lies in [{low}, {high}]; allowed is {allowed}: the tables' objects"
-            )
-    return n
 
 
 def squeezed(grasp: Grasp, thresholds: Thresholds) -> Float32[Tensor, " b"]:

@@ -280,7 +280,6 @@ def affordance(e: Evidence) -> Criterion:
         held.objects,
         held.squeezed_m,
         cap_m=CLEARANCE_CAP_M,
-        known=True,
     )
     return Criterion(distance, held.active, cap=CLEARANCE_CAP_M)
 

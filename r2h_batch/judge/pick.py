@@ -529,7 +529,7 @@ class _Batch:
         scene, limits = self.scene, self.scene.config.thresholds
         return close_gripper(
             scene.grasp_tables, self.T_obj_ee.contiguous(), self.objects, w_max=limits.w_max_m, w_min=limits.w_min_m,
-            mode=scene.config.width, known=True,
+            mode=scene.config.width,
         )  # fmt: skip
 
     @cached_property

@@ -1,7 +1,5 @@
 """Width, closing, cuts and region distance against manifold3d, fcl and float64 NumPy."""
 
-from functools import partial
-
 import numpy as np
 import pytest
 import torch
@@ -9,7 +7,7 @@ import trimesh
 from grasp_cases import BAND, material64, model_of, pose_at, random_grasps, shapes, tables_of_shapes, width64
 
 from r2h_batch.config import CLOSED_GAP_M, OPEN_GAP_M
-from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses, open_clearance
+from r2h_batch.judge.grasp import CUT_CAP_M, attach, close_gripper, gripper_poses
 from r2h_batch.scene.grasp_tables import grasp_tables, gripper_tables
 from r2h_batch.scene.robot import gap_from_drive, gripper_primitives_at
 from r2h_batch.scene.robot_file import load_robot
@@ -119,24 +117,6 @@ def test_closing_moves_the_object_to_the_middle_of_the_pads() -> None:
     T_ee_obj = np.linalg.inv(attach(T, grasp.shift_m)[0].double().numpy())
     expected = pose_at(y=-float(grasp.shift_m[0])) @ np.linalg.inv(T[0].double().numpy())
     np.testing.assert_allclose(T_ee_obj, expected, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("changed", "named"),
-    [
-        ({"T_obj_ee": torch.eye(4, dtype=torch.float64).repeat(2, 1, 1)}, "T_obj_ee is torch.float64"),
-        ({"T_obj_ee": torch.eye(4).expand(2, 4, 4)}, "T_obj_ee"),
-        ({"object_index": torch.zeros(2, dtype=torch.int64)}, "object_index is torch.int64"),
-        ({"object_index": torch.zeros(3, dtype=torch.int32)}, r"expected contiguous torch.int32 \(2,\)"),
-        ({"object_index": torch.tensor([0, -1], dtype=torch.int32)}, r"\[-1, 0\]"),
-        ({"object_index": torch.tensor([0, len(shapes())], dtype=torch.int32)}, rf"\[0, {len(shapes())}\]"),
-    ],
-)
-def test_grasps_of_another_type_or_of_no_object_are_refused_by_name(changed: dict, named: str) -> None:
-    given = {"T_obj_ee": torch.eye(4).repeat(2, 1, 1), "object_index": torch.zeros(2, dtype=torch.int32)} | changed
-    for ask in (close_gripper, partial(open_clearance, cap_m=CUT_CAP_M)):
-        with pytest.raises(ValueError, match=named):
-            ask(tables_of_shapes(), **given)
 
 
 # --- clearance: least signed distance over a triangle by nested golden section search in float64 (it is convex) ---
