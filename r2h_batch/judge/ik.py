@@ -123,7 +123,6 @@ def solve_ik(
                 rotation_lever_m=ROTATION_LEVER_M,
             )
         )
-    _check(T_world_ee, active, robot, home)
     place = str(device) if device.type == "cpu" else str(wp.device_from_torch(device))
     made = over_trials(
         ik_step.solve_ik_kernel, len(T_world_ee), place, sizes=ik_any.sizes(6), chunk=CHUNK, width=4
@@ -135,28 +134,6 @@ def solve_ik(
         active=active.contiguous(),
     )
     return IkResult(*made.values())  # the kernel writes the fields in their order
-
-
-def _check(T_world_ee: Tensor, active: Tensor, robot: Robot, home: Sequence[float]) -> None:
-    """Raises ValueError for what `solve_ik` cannot be asked."""
-    if T_world_ee.ndim != 3 or T_world_ee.shape[1:] != (4, 4) or T_world_ee.dtype != torch.float32:
-        raise ValueError(
-            f"T_world_ee is {T_world_ee.dtype} {tuple(T_world_ee.shape)}; it must be float32 (B, 4, 4)"
-        )
-    n, device = len(T_world_ee), T_world_ee.device
-    if active.shape != (n,) or active.dtype != torch.bool or active.device != device:
-        raise ValueError(
-            f"active is {active.dtype} {tuple(active.shape)} on {active.device}; it must be bool ({n},) on {device}"
-        )
-    if not _within_limits(robot, tuple(home)):
-        raise ValueError(
-            f"home is {tuple(home)}; it must be 6 joint angles in rad within the robot's limits"
-        )
-
-
-@lru_cache(maxsize=64)
-def _within_limits(robot: Robot, home: tuple[float, ...]) -> bool:
-    return len(home) == 6 and bool(((robot.lower <= home) & (home <= robot.upper)).all())
 
 
 JACOBIAN_STEPS = 100

@@ -63,8 +63,7 @@ def solve_ik(
 
     Slots, statuses and residuals mean the same. A pair of branches is CONVERGED where both of its
     elbows were found, FOUND where the closed form's solution stands in for one. Same bits for any
-    batch size and order (tests/judge/test_ik_jacobian.py). Raises ValueError as `judge.ik.solve_ik`
-    does.
+    batch size and order (tests/judge/test_ik_jacobian.py).
     """
     robot = load_robot(DEFAULT_ROBOT) if robot is None else robot
     home = robot.home_q if home is None else tuple(home)
