@@ -47,13 +47,13 @@ def scored(evaluator: Evaluator, batch: Poses) -> tuple[Scores, torch.Tensor, fl
         slack.append(done.slack_m)
         return done
 
-    few = slice(0, 8)
-    evaluator.score(*(x[few] for x in batch))
+    T_obj_ee, T_world_ee, trials = batch
+    evaluator.score(T_obj_ee[:8], T_world_ee[:8], trials[:8])
     if evaluator.config.execute.model != "arm":  # compiled once in a process (docs/choices.md)
-        evaluator.scene.model(batch[2].hand_index.tolist())
+        evaluator.scene.model(trials.hand_index.tolist())
     with mock.patch.object(execution, "execute", watched):
         start = time.process_time()
-        scores = evaluator.score(*batch)
+        scores = evaluator.score(T_obj_ee, T_world_ee, trials)
         seconds = time.process_time() - start
     return scores, torch.cat(slack), seconds
 
