@@ -62,8 +62,9 @@ PAIRS = {
     "object_hand": "object and hand", "object_table": "object and table", "object_robot": "object and robot",
 }  # fmt: skip
 """Pairs of bodies (`CollidingPair`) in words."""
+PERSON = "the person"
 MET = {
-    "hand": "the person", "table": "the table", "self": "the robot itself", "object_hand": "the person",
+    "hand": PERSON, "table": "the table", "self": "the robot itself", "object_hand": PERSON,
     "object_table": "the table", "object_robot": "the robot",
 }  # fmt: skip
 """The second body of a pair: what Pick's reasons call something."""
@@ -123,7 +124,7 @@ def headline(row: Mapping[str, Any], pair: str | None = None, head_m: float = 0.
         short = f": {by} short" if by and str(row["plan_reason"]) in SHORT else ""
         return f"{said}{met}{short}"
     if outcome == "pick":
-        return f"{words}{_pick_why(row)}{f', by {by}' if by else ''}".rstrip(" :,")
+        return f"{words}{_pick_why(row, head_m)}{f', by {by}' if by else ''}".rstrip(" :,")
     if outcome == "received":
         left = str(row.get("received_reason")) in LEFT_OUT
         return said + ((f": {by} are left" if left else f", by {by}") if by else "")
@@ -191,13 +192,17 @@ def presented_words(row: Mapping[str, Any]) -> str:
     return f"{NEARER[by]} is {ahead:.1f} cm nearer to the palm than {wanted}"
 
 
-def _pick_why(row: Mapping[str, Any]) -> str:
-    """Pick's reason in words, with the two bodies that its margin is about, each named once."""
+def _pick_why(row: Mapping[str, Any], head_m: float) -> str:
+    """Pick's reason in words, with the two bodies that its margin is about, each named once. What is kept from the head counts
+    as the person, and no row says which it was."""
     why, pair = PICKS.get(str(row.get("pick_reason")), ""), str(row.get("pick_pair"))
     if "something" in why and pair in MET:
         of_object, part = pair.startswith("object_"), row.get("pick_part")
         own = "the object" if of_object else body_name(str(part)) if part else ""
-        return why.replace("something", MET[pair]) + (f" ({own})" if own else "")
+        around = (
+            f" or the {100 * head_m:g} cm around the head" if head_m and MET[pair] == PERSON else ""
+        )
+        return why.replace("something", MET[pair] + around) + (f" ({own})" if own else "")
     return f"{why} ({found})" if (found := _pick_pair(row)) else why
 
 

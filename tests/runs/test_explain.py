@@ -94,6 +94,17 @@ def test_what_presented_is_about_is_said_of_every_row_and_the_limit_of_what_fail
     assert explained(failed, "mine", LIMITS, "").witness.endswith("than the object; up to 7.5 cm is allowed")
 
 
+def test_a_pick_that_meets_the_person_says_what_is_kept_from_the_head():
+    failed = row("pick", -0.004, pick_reason="lift_collides", pick_pair="object_hand")
+    assert explained(failed, "mine", LIMITS, "").why.startswith("pick fails: the person is in the way up (the object)")
+    kept = explained(failed, "mine", LIMITS, "", head_m=0.1).why
+    assert kept.startswith(
+        "pick fails: the person or the 10 cm around the head is in the way up (the object), by 4.0 mm"
+    )
+    table = row("pick", -0.004, pick_reason="lift_collides", pick_pair="object_table")
+    assert "head" not in explained(table, "mine", LIMITS, "", head_m=0.1).why
+
+
 def test_a_pick_with_less_room_than_a_calibration_errs_by_is_named():
     passed = {"trial_id": 7, "outcome": "success", "passed_pick": True, "pick_pair": "table", "pick_part": "left_pad_0"}
     words = "the pick has 0.9 mm of room (robot and table, left pad), less than the 2 mm that a calibration may err by"
