@@ -5,7 +5,6 @@
 
 from typing import Literal, NamedTuple
 
-import numpy as np
 import torch
 from jaxtyping import Bool, Float32
 from torch import Tensor
@@ -60,24 +59,9 @@ def points(
         (B, P, 3) in the world, m, and (B, P) which of them count: none where an object has no such part.
     """
     one_of(*ROLES)("role", role)
-    local, of_part = _points_of(scene, role)
+    local, of_part = scene.surface_points
     rows = held.objects.long()
-    return se3.apply(T_world_obj(held)[:, None], local[rows]), of_part[rows]
-
-
-def _points_of(scene: Scene, role: Role) -> tuple[Float32[Tensor, "o p 3"], Bool[Tensor, "o p"]]:
-    """The same of every object of the scene, in its own frame."""
-    local = np.stack([o.points for o in scene.objects])
-    of_part = []
-    for o in scene.objects:
-        faces = np.ones(len(o.faces), bool)
-        if role == "sharp":
-            faces = o.sharp_face
-        elif role == "wanted" and o.split == "S1":
-            faces = np.asarray(o.receiver_face)
-        of_part.append(faces[o.point_face])
-    device = torch.device(scene.device)
-    return torch.from_numpy(local).to(device), torch.from_numpy(np.stack(of_part)).to(device)
+    return se3.apply(T_world_obj(held)[:, None], local[rows]), of_part[role][rows]
 
 
 def checked_points(point: object, n: int) -> Float32[Tensor, "b 3"]:

@@ -11,8 +11,8 @@ from functools import lru_cache
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
+import warp as wp
 from jaxtyping import Bool, Float32, Float64, Int8, Int32, Int64
 from torch import Tensor
 
@@ -137,10 +137,9 @@ class Evidence:
     @property
     def up(self) -> Float32[Tensor, "b 3"]:
         """(B, 3) unit vectors towards vessels' openings in the world; NaN where the object is no open vessel."""
-        local = np.stack([np.full(3, np.nan) if o.up is None else o.up for o in self.scene.objects])
-        rows = self.held.objects.long()
-        of_row = torch.from_numpy(local).float().to(rows.device)[rows]
-        return (self.T_world_obj[:, :3, :3] @ of_row[:, :, None])[:, :, 0]
+        local = wp.to_torch(self.scene.openings)[self.held.objects.long()]
+        local = torch.where((local == 0).all(1, keepdim=True), torch.nan, local)
+        return (self.T_world_obj[:, :3, :3] @ local[:, :, None])[:, :, 0]
 
     def points(
         self, role: at_handover.Role

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, SupportsIndex, TypeVar
 import numpy as np
 import torch
 import warp as wp
-from jaxtyping import Float32, Int32
+from jaxtyping import Bool, Float32, Int32
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -372,6 +372,22 @@ class Scene(Generic[B]):
         """Unit vectors towards the openings of vessels, each in its object's frame; zero for other objects."""
         up = [np.zeros(3) if o.up is None else o.up for o in self.objects]
         return wp.array(np.array(up, np.float32), dtype=wp.vec3, device=self.device)
+
+    @cached_property
+    def surface_points(self) -> tuple[Float32[Tensor, "o p 3"], dict[str, Bool[Tensor, "o p"]]]:
+        """Points on the objects' surfaces, each in its object's frame, m; and part -> which of them are of it: `object`: all,
+        `wanted`: the receiver's region in S1 and all in S0, `sharp`."""
+        of_part: dict[str, list[NDArray[np.bool_]]] = {"object": [], "wanted": [], "sharp": []}
+        for o in self.objects:
+            every = np.ones(len(o.faces), bool)
+            wanted = o.receiver_face if o.split == "S1" else every
+            for part, faces in (("object", every), ("wanted", wanted), ("sharp", o.sharp_face)):
+                of_part[part].append(np.asarray(faces)[o.point_face])
+        local = torch.from_numpy(np.stack([o.points for o in self.objects]))
+        masks = {
+            part: torch.from_numpy(np.stack(of)).to(self.device) for part, of in of_part.items()
+        }
+        return local.to(self.device), masks
 
     @cached_property
     def hand_mesh(self) -> Any:
