@@ -352,6 +352,14 @@ _REPLACED: tuple[tuple[dict[str, Any], dict[str, Any]], ...] = (
 _REAL = tuple((names, {name: names[name] for name in others}) for names, others in _REPLACED)
 
 
+def _put_back_functions() -> None:
+    """The functions that others stood for. A thread that a stranger left may call `os._exit` at any moment, so while one is
+    alive the real one does not come back, not for a moment."""
+    left = any(t.is_alive() for t, _ in _threads)
+    for names, real in _REAL:
+        names.update(real | {"_exit": _no_exit} if left and names is _OF_OS else real)
+
+
 class stranger:
     """A block in which a stranger's code runs. In another thread than that of a block that runs already it does nothing.
 
@@ -418,9 +426,10 @@ class stranger:
         if _getpid() != self.pid:  # a child that the code forked
             _leave(0 if kind is None else 1)
         names = self._put_back_names()
+        self._note_threads()
         _inside.remove(self)
-        for names_of, real in () if _inside else _REAL:
-            names_of.update(real)
+        if not _inside:
+            _put_back_functions()
         sys.stdin, sys.stdout, sys.stderr = self._streams
         _put_back_stdout(self._out, self._err)
         for undo in reversed(self.undo):
@@ -437,7 +446,6 @@ class stranger:
             with warnings.catch_warnings():  # tells Python that they are others now
                 pass
             warnings.filters[:] = self._filters  # type: ignore[index]
-        self._note_threads()
         recursion = left_recursion if left_recursion != self._recursion else None
         if self.of and (settings or names or filters is not None or recursion):
             _left[self.of] = _Left(settings, names, filters, recursion)
@@ -516,8 +524,6 @@ class stranger:
     def _note_threads(self) -> None:
         # their number says nothing: one of before may have ended meanwhile
         _threads.extend((t, self.name) for t in threading.enumerate() if t not in self._alive)
-        if any(t.is_alive() for t, _ in _threads):
-            _OF_OS["_exit"] = _no_exit  # they may call it when this block is over
 
     def _say(self) -> None:
         if not self._printed.closed and (text := self._printed.getvalue().rstrip()):

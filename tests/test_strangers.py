@@ -198,6 +198,29 @@ print("goes on")
     assert done.stdout == "goes on\n"
 
 
+def test_a_thread_that_stays_cannot_end_the_process_while_what_its_method_changed_is_put_back():
+    code = """
+import os, threading, time
+from r2h_batch import strangers
+go = threading.Event()
+thread = threading.Thread(target=lambda: (go.wait(), os._exit(0)))
+put_back = strangers._put_back_stdout
+def slowly(*handles):
+    put_back(*handles)
+    go.set()
+    thread.join()
+strangers._put_back_stdout = slowly
+with strangers.stranger("theirs"):
+    thread.start()
+print("goes on", os._exit is strangers._leave)
+with strangers.stranger("another one"):
+    pass
+print(os._exit is strangers._leave)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "goes on False\nTrue\n"
+
+
 def test_its_function_of_atexit_raises_in_a_line_and_decides_no_exit_code():
     code = """
 import atexit, os, sys
