@@ -92,7 +92,7 @@ def rates_of(folder: Path) -> dict[str, dict[str, dict[str, float | None]]]:
     found: dict[str, dict[str, dict[str, float | None]]] = {}
     for row in json.loads(render(table_of(load_run(folder)), "json"))["rows"]:
         word = words[row["method"].partition(" (")[0]]
-        found.setdefault(word, {})[row["split"]] = {c: row[c] for c in (*COLUMNS, "presented")}
+        found.setdefault(word, {})[row["split"]] = {c: row[c] for c in COLUMNS}
     return found
 
 
