@@ -1,8 +1,10 @@
 """What criteria of other packages ask about the handover: shapes and words that they may get wrong."""
 
+import numpy as np
 import pytest
 import torch
 from problems import default_evaluator
+from rounds import each
 
 from r2h_batch.judge import metrics
 from r2h_batch.methods.random import predict
@@ -56,3 +58,13 @@ def test_eyes_which_are_of_float64_have_distances_too(evidence, to):
     found = evidence.distance(eye, to)
     assert found.dtype == torch.float32
     assert torch.equal(found.nan_to_num(), evidence.distance(eye.float(), to).nan_to_num())
+
+
+def test_points_are_of_the_part_that_is_asked_for_and_up_is_of_vessels_alone(evidence):
+    every, wanted, sharp = (evidence.points(role)[1].numpy() for role in ("object", "wanted", "sharp"))
+    up, objects = evidence.up.numpy(), [evidence.scene.objects[i] for i in evidence.held.objects.tolist()]
+    assert {o.split for o in objects} == {"S0", "S1"} and len({o.up is None for o in objects}) == 2
+    for k, o in each(list(enumerate(objects))):
+        assert every[k].all() and (sharp[k] == o.sharp_face[o.point_face]).all()
+        assert (wanted[k] == (o.split == "S0") | o.receiver_face[o.point_face]).all()
+        assert np.isnan(up[k]).all() == (o.up is None)

@@ -93,6 +93,16 @@ def test_a_light_part_is_held_through_the_shake_and_a_heavy_one_drops(robot):
     assert np.isnan(unshaken.slip_m).all()
 
 
+def test_the_weight_pulls_out_of_the_gripper_alone_and_then_beside_a_shake_along_each_axis(monkeypatch):
+    pulls, step = [], mujoco.mj_step
+    monkeypatch.setattr(mujoco, "mj_step", lambda m, *more: (pulls.append(m.opt.gravity.copy()), step(m, *more)))
+    close_in_physics(parts()[1:2], np.array([0]), frame(Z, Y, np.zeros(3))[None], load_robot(), shake=True)
+    weight = np.array([0.0, 0.0, 9.81])  # z of the ee points from the palm to the fingertips: at home, down
+    shaken = np.unique(np.sign(np.round(np.array(pulls) - weight, 6)), axis=0)
+    assert any((p == weight).all() for p in pulls)
+    assert {tuple(s) for s in shaken} >= {tuple(s * axis) for s in (-1, 1) for axis in np.eye(3)}
+
+
 def test_rows_do_not_depend_on_their_batch_and_an_empty_one_is_empty():
     index = np.arange(3)
     T = np.stack([frame(Z, Y, np.zeros(3))] * 3)
